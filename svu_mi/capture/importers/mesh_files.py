@@ -32,14 +32,14 @@ from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
-# As Mitsuba's plugin takes it, unless a comment names a texture, as MeshLab and scanners write it;
-# trimesh hands on V upwards for the others.
+# As in Mitsuba's plugin, unless a comment names a texture, as MeshLab and scanners write it. trimesh
+# returns V upwards for other formats.
 V_DOWN = (".ply",)
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
 LEFT_OUT = (
-    "left out: the object is taken to have a base colour, roughness and metallic only, and the "
-    "normals of its mesh."
+    "ignored: the material has only base colour, roughness and metallic, and normals come from the "
+    "mesh."
 )
 
 
@@ -48,9 +48,9 @@ class TexturedMesh:
     """A mesh and its material.
 
     Attributes:
-        mesh: its buffers; V of the UVs is 0 in the first row of the textures.
-        textures: pictures by parameter of ``principled``; empty without any.
-        notes: sentences about decisions while reading.
+        mesh: vertex and face buffers; V = 0 is the first row of the textures.
+        textures: pictures by parameter of ``principled``; empty without textures.
+        notes: sentences about decisions of the reader.
     """
 
     mesh: MeshArrays
@@ -59,12 +59,15 @@ class TexturedMesh:
 
 
 def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> TexturedMesh:
-    """Read a mesh.
+    """Read a mesh with its textures.
 
     Args:
-        path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
-            merged; V runs as in the format, in PLY as in Mitsuba, or upwards with a texture.
-        geometry_only: ignore UVs, textures and the number of materials.
+        path: path of a GLB, glTF, OBJ, PLY or STL file. Parts are transformed as in the file and
+            merged. V has the direction of the format; in PLY, as in Mitsuba, or up with a texture.
+        geometry_only: True to ignore UVs, textures and the number of materials.
+
+    Raises:
+        MeshError: the mesh is missing, damaged, too large or has unsupported features.
     """
     path = Path(path)
     files = _FolderResolver(path.parent)
@@ -98,12 +101,12 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
         notes += [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
-        notes.append(f"{path}: its textures are left out, and its UVs are laid out again.")
+        notes.append(f"{path}: its textures are ignored, and new UVs are computed.")
     return TexturedMesh(mesh=mesh, textures=textures, notes=notes)
 
 
 def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
-    """Concatenate parts; UVs and normals only if each has them."""
+    """Concatenate parts; keep UVs and normals only if all parts have them."""
     meshes = [part.mesh for part in parts]
     first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
     mesh = MeshArrays(
@@ -119,7 +122,7 @@ def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
             raise MeshError(f"{path}: some {name} are NaN, infinite or too large; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
         raise MeshError(f"{path}: a triangle refers to a missing vertex; export it again.")
-    # Scans keep some vertices without a triangle far away.
+    # Remove unused vertices: scans have some far away.
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) == len(mesh.positions):
         return mesh
@@ -134,9 +137,9 @@ def _concatenate(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class _Part:
-    """One mesh of a file in its world, with trimesh's ``visual``.
+    """Mesh of a file in world space, with trimesh's ``visual``.
 
-    ``material``: a number that parts of the same material share; None without UVs.
+    ``material`` is equal for parts of the same material; None without UVs.
     """
 
     mesh: MeshArrays
@@ -166,9 +169,9 @@ class _Part:
 
 
 def _own_normals(part: Any) -> np.ndarray | None:
-    """Return the normals of a file, one per vertex; None if trimesh has computed them.
+    """Return the normals in the file, one per vertex; None if trimesh has computed them.
 
-    trimesh keeps those of a PLY in the metadata.
+    trimesh keeps normals of a PLY in the metadata.
     """
     bare = trimesh.Trimesh(part.vertices, part.faces, face_normals=part.face_normals, process=False)
     if not np.array_equal(part.vertex_normals, bare.vertex_normals, equal_nan=True):
@@ -201,13 +204,13 @@ def _read_parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list
     if files.refused:
         raise MeshError(f"{path}: {excerpt(files.refused[0])}")
     if not parts:
-        raise MeshError(f"{path}: holds no triangle mesh.")
+        raise MeshError(f"{path}: contains no triangle mesh; export one.")
     return parts
 
 
 @contextlib.contextmanager
 def _parser_errors(path: Path) -> Iterator[None]:
-    """Turn parser errors into a MeshError of a file, without trimesh's log."""
+    """Turn parser errors into a MeshError that names the file; disable trimesh's log."""
     spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
@@ -217,7 +220,7 @@ def _parser_errors(path: Path) -> Iterator[None]:
             yield
     except MeshError:
         raise
-    except Exception as error:  # trimesh raises whatever its parsers meet
+    except Exception as error:  # trimesh's parsers raise any type
         reason = excerpt(str(error) or type(error).__name__)
         raise MeshError(f"{path}: not a readable mesh ({reason}); export it again.") from error
     finally:
@@ -225,10 +228,10 @@ def _parser_errors(path: Path) -> Iterator[None]:
 
 
 class _FolderResolver(trimesh.resolvers.Resolver):
-    """Resolver of trimesh for files in the folder of a mesh.
+    """Access of trimesh to files in the folder of a mesh.
 
-    trimesh continues without a material that it cannot read, so errors are collected in ``refused``
-    and names of missing files in ``missing``.
+    trimesh continues without unreadable materials, so errors are collected in ``refused`` and names
+    of missing files in ``missing``.
     """
 
     def __init__(self, root: Path) -> None:
@@ -237,17 +240,17 @@ class _FolderResolver(trimesh.resolvers.Resolver):
         self.missing: list[str] = []
 
     def get(self, name: str) -> bytes:
-        """Return the bytes of a file, whose name glTF writes with %20 for a space."""
+        """Return the content of a file; glTF encodes a space in its name as %20."""
         try:
             path = safe_path(self.root, str(name).strip(), str(self.root))
             if not path.is_file():
                 path = safe_path(self.root, unquote(str(name).strip()), str(self.root))
-            if not path.is_file():  # a folder, a pipe or a device neither
+            if not path.is_file():  # missing, or a folder, pipe or device
                 self.missing.append(path.name)
                 raise FileNotFoundError(f"no file {path.name}")
             if path.suffix.lower() in PICTURES:
                 with Image.open(path):
-                    pass  # its header is sound; the pixels are decoded later
+                    pass  # checks the header; the pixels are decoded later
             return path.read_bytes()
         except (CaptureError, UnidentifiedImageError, Image.DecompressionBombError) as error:
             self.refused.append(str(error))
@@ -258,9 +261,9 @@ class _FolderResolver(trimesh.resolvers.Resolver):
         return [file.name for file in self.root.iterdir()]
 
     def namespaced(self, namespace: str) -> _FolderResolver:
-        """Refuse: no supported format needs a folder."""
+        """Raise OSError: no supported format refers to folders."""
         raise OSError(f"{self.root}: {namespace} is not searched.")
 
     def write(self, name: str, data: object) -> None:
-        """Refuse: reading a mesh writes nothing."""
+        """Raise OutputError: reading a mesh writes no files."""
         raise OutputError(f"{self.root}: {name} ({type(data)}) must not be written while reading.")

@@ -1,7 +1,7 @@
 """Textures of mesh files as parameters of ``principled``; checks of glTF headers.
 
-trimesh takes normalised integers of glTF for coordinates, ignores sparse changes and texture
-transforms, and reads compressed data as zeros, all silently. Names are those of
+Without an error, trimesh reads normalised integers of glTF as coordinates, ignores sparse accessors
+and texture transforms, and reads compressed data as zeros. Such files are refused. Names follow
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
@@ -24,9 +24,9 @@ from svu_mi.core.io.files import replacing
 from svu_mi.errors import MeshError, excerpt
 
 MAX_PIXELS = 2**26  # 8192 x 8192
-CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
+CONSTANT = 4  # pixels per side of the texture of a constant factor
 
-# Statements of an OBJ's material that have no parameter here.
+# Statements of OBJ materials that are ignored.
 IGNORED = {
     "bump": "a bump map", "map_bump": "a bump map", "norm": "a normal map", "disp": "displacement",
 }  # fmt: skip
@@ -39,23 +39,27 @@ COMPRESSION = (
     "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression",
 )  # fmt: skip
 TRANSFORM = "KHR_texture_transform"
-IDENTITY = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # of such a transform
+IDENTITY = {
+    "offset": [0, 0],
+    "scale": [1, 1],
+    "rotation": 0,
+}  # values of a transform without effect
 FLOAT = 5126
-FREE = 2**20  # numbers that any file may use; larger counts must be backed by its size
+FREE = 2**20  # numbers in any file; larger counts must fit the file size
 ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
-# Parts of a material that have no parameter here.
+# Parts of glTF materials that are ignored.
 IGNORED_GLTF = {
     "normalTexture": "a normal map", "occlusionTexture": "an occlusion map",
     "emissiveTexture": "emission", "alphaMode": "transparency",
 }  # fmt: skip
-MODEL = "KHR_materials_"  # how extensions of the reflection model begin
+MODEL = "KHR_materials_"  # prefix of extensions of the reflection model
 
 
 def textures_of(visual: Any, path: Path) -> Textures:
     """Return the textures of the ``visual`` of a ``trimesh.Trimesh``.
 
     Textures are multiplied by the material's factors (base colour in linear light); normal maps,
-    occlusion and emission are ignored. Of an OBJ's material only the diffuse picture is read.
+    occlusion and emission are ignored. OBJ materials have only the diffuse picture.
     """
     material = getattr(visual, "material", None)
     try:
@@ -63,14 +67,14 @@ def textures_of(visual: Any, path: Path) -> Textures:
             return _gltf_textures(material)
         picture = getattr(material, "image", None)
         return {"base_color": _rgb(picture)} if is_textured(visual) else {}
-    except Exception as error:  # Pillow raises whatever its decoders meet
+    except Exception as error:  # Pillow's decoders raise any type
         raise MeshError(
             f"{path}: a texture cannot be read ({excerpt(error)}); export it again."
         ) from error
 
 
 def is_textured(visual: Any) -> bool:
-    """Return whether a mesh has at least one picture."""
+    """Return whether a mesh has at least one texture picture."""
     material = getattr(visual, "material", None)
     if getattr(material, "image", None) is not None:
         return hash(material) != hash(
@@ -87,7 +91,7 @@ def ignored_in_obj(visual: Any) -> list[str]:
 
 
 def load_pictures(visual: Any) -> None:
-    """Decode all pictures of a material; a ValueError if one is too large, or Pillow's errors."""
+    """Decode all pictures of a material; raise ValueError if one is too large."""
     material = getattr(visual, "material", None)
     for name in ("image", "baseColorTexture", "metallicRoughnessTexture"):
         picture = getattr(material, name, None)

@@ -10,29 +10,29 @@ import trimesh
 
 from svu_mi.capture.mesh import MeshArrays, crosses_of
 
-CREASE = 40  # degrees between triangles from which the edge between them is one
-# A scan whose points are off by a fifth of the way between them has creases at 13 to 17 % of its
-# edges; triangles of parts that were designed have more, but at least a third lie in a plane.
-NOISY, FLAT, DENSE = 0.1, 0.25, 4000  # parts of all edges, and triangles from which they count
-PLANE = 5  # degrees between triangles that lie in a plane
-AGREE = 0.6  # mean cosine between vertex normals and faces; sound files have .9, swapped axes .3
+CREASE = 40  # degrees between two triangles, from which their edge is a crease
+# In scans with errors of a fifth of the point distance, 13 to 17 % of the edges are creases. Designed
+# parts have more creases, but at least a third of their edges is flat.
+NOISY, FLAT, DENSE = 0.1, 0.25, 4000  # shares of edges; smallest number of triangles
+PLANE = 5  # degrees between two triangles, below which their edge is flat
+AGREE = 0.6  # mean cosine of vertex and face normals; correct files have .9, swapped axes .3
 
 
 def repair_normals(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
-    """Turn a closed surface that is inside out; replace normals that are missing or contradict it.
+    """Orient a closed surface outwards; compute normals that are missing or wrong.
 
-    Computed normals are smooth, except at edges, where vertices get one on each side. A scan with
-    many edges is noisy and smoothed everywhere.
+    Computed normals are smooth except at creases, where vertices get one normal per side. A scan
+    with many creases counts as noisy and becomes smooth everywhere.
 
     Returns:
-        The mesh, with unit normals, and sentences about changes of the file ``label``.
+        Mesh with unit normals, and sentences about changes of the file ``label``.
     """
     _, unique, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
-    # Without the cuts that UV seams are.
+    # Merge the vertices that UV seams have split.
     welded = trimesh.Trimesh(mesh.positions[unique], inverse[mesh.faces], process=False)
     notes = []
-    with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be none
+    with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be 0
         is_inside_out = welded.is_watertight and welded.volume < 0
     if is_inside_out:
         notes.append(f"{label}: the surface was inside out; its triangles are flipped.")
@@ -49,8 +49,8 @@ def repair_normals(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]
     shaded, is_noisy = _with_computed_normals(mesh, welded)
     if is_noisy:
         notes.append(
-            f"{label}: normals are computed; the surface is too noisy to tell edges from noise, so "
-            "none is kept sharp."
+            f"{label}: normals are computed; the surface is too noisy to detect edges, so none are "
+            "kept sharp."
         )
     elif len(shaded.positions) > len(np.unique(mesh.faces)):
         notes.append(
@@ -62,8 +62,8 @@ def repair_normals(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]
 def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool]:
     """Compute angle-weighted normals; also return whether the surface is noisy.
 
-    Corners at a vertex share a normal if they are connected by edges without a crease. A
-    vertex with several normals is duplicated.
+    Corners at a vertex form a fan, with one normal, if edges without a crease connect them. A
+    vertex with several fans is duplicated.
     """
     cross = crosses_of(welded.vertices, welded.faces)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -72,7 +72,7 @@ def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[M
     pairs, are_two = _corners_at_edges(welded.faces)
     first, second = pairs[:, :, 0] // 3
     cosine = np.einsum("ei,ei->e", normal[first], normal[second])
-    flat = (length[first] * length[second])[:, 0] == 0  # a triangle without area creases nothing
+    flat = (length[first] * length[second])[:, 0] == 0  # triangles without area have no creases
     is_noisy = _is_noisy(cosine[are_two & ~flat], len(welded.faces))
     is_smooth = flat | (cosine > np.cos(np.radians(CREASE))) | (is_noisy & are_two)
     smooth = pairs[:, is_smooth].reshape(2, -1)
@@ -96,7 +96,7 @@ def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[M
 
 
 def _is_noisy(cosine: np.ndarray, triangles: int) -> bool:
-    """Return whether creases are noise, from the cosines (E,) between triangles at edges."""
+    """Return whether creases are noise, from the cosines (E,) of edges."""
     if triangles < DENSE or not len(cosine):
         return False
     crease, flat = np.cos(np.radians([CREASE, PLANE]))
@@ -104,16 +104,16 @@ def _is_noisy(cosine: np.ndarray, triangles: int) -> bool:
 
 
 def _fill_empty_fans(fan: np.ndarray, is_real: np.ndarray, vertex: np.ndarray) -> np.ndarray:
-    """Give corners (N,) of triangles without area a fan of their vertex that has a normal."""
+    """Assign corners (N,) of triangles without area to another fan of their vertex."""
     real = np.full(vertex.max() + 1, -1)
     real[vertex[is_real]] = fan[is_real]
     return np.where(is_real | (real[vertex] < 0), fan, real[vertex])
 
 
 def _corners_at_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (2, E, 2) at both ends of each edge, of one triangle and another.
+    """Return the corners (2, E, 2) at both ends of edges, in both adjacent triangles.
 
-    Also return (E,) whether the edge has only these two. Triangle f has the corners 3 f to 3 f + 2.
+    Also return (E,) True for edges of exactly two triangles. Triangle f has corners 3 f to 3 f + 2.
     """
     sides = [[0, 1], [1, 2], [2, 0]]
     ends = faces[:, sides].reshape(-1, 2)
@@ -128,7 +128,7 @@ def _corners_at_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _unit_normals(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
-    """Return unit normals; zero vectors are replaced by ``instead``, or point up."""
+    """Return unit normals; replace zero vectors by ``instead``, or by +Z."""
     for other in (instead, np.array([0.0, 0.0, 1.0])):
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), other)

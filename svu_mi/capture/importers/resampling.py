@@ -1,9 +1,8 @@
 """Undistortion, square pixels and downsampling of photographs.
 
-Mitsuba's cameras have no distortion and square pixels. First lines are straightened, then a
-photograph whose focal lengths differ is brought to the coarser of the two by area, so that no
-detail is made up. Focal lengths and principal point follow exactly, whatever part of a pixel the
-last row or column would have been: it is dropped.
+Mitsuba's cameras have no distortion and square pixels. Photographs are first undistorted. If the
+focal lengths differ, area averages reduce the finer axis, so that no detail is interpolated. Focal
+lengths and principal point are exact; a partial last row or column is dropped.
 """
 
 from __future__ import annotations
@@ -18,21 +17,21 @@ from svu_mi.capture.importers.source import Frame
 from svu_mi.errors import CaptureError, OptionError
 
 NEARLY_SQUARE = 0.05  # largest displacement, in pixels, for pixels to count as square
-WHOLE = 1e-6  # of a pixel that may be missing from the last one
-STRIP = 128  # lines that are averaged at a time
+WHOLE = 1e-6  # share of the last pixel that may be missing
+STRIP = 128  # lines per block of averages
 SAME_ASPECT = 2.0  # tolerance of the aspect ratio of a resized photograph, in pixels
-EDGE = 257  # points of each edge of a photograph, between which lenses are smooth
+EDGE = 257  # sample points per edge of a photograph
 WIDEST = 2.0  # largest growth of an undistorted photograph's sides, as in COLMAP
 
 
 def with_size(frame: Frame, size: tuple[int, int]) -> Frame:
-    """Return the frame for a photograph that was resized to (width, height) after calibration."""
+    """Return the frame of a photograph that was resized after calibration."""
     if size == frame.size:
         return frame
     (width, height), (made_width, made_height) = frame.size, size
     if abs(height * made_width / width - made_height) > SAME_ASPECT:
         differ = (
-            f"{frame.image}: has {made_width} x {made_height} pixels, but {frame.label} is of "
+            f"{frame.image}: has {made_width} x {made_height} pixels, but {frame.label} has "
             f"{width} x {height}"
         )
         if abs(width * made_width / height - made_height) <= SAME_ASPECT:
@@ -47,10 +46,10 @@ def with_size(frame: Frame, size: tuple[int, int]) -> Frame:
 
 
 def undistorted_frame(frame: Frame) -> Frame:
-    """Return the pinhole camera for ``undistort_planes``; a frame without a lens as it is.
+    """Return the pinhole camera of the undistorted photograph; unchanged without a lens.
 
-    As in COLMAP, the focal length is kept, so that the centre does not change, and the photograph
-    becomes the largest one without empty borders, at most twice as wide and high.
+    As in COLMAP, the focal length is kept, so that the resolution in the centre does not change.
+    The size is the largest one without empty borders, at most twice as wide and high.
     """
     if frame.lens is None:
         return frame
@@ -62,9 +61,9 @@ def undistorted_frame(frame: Frame) -> Frame:
     if not frame.lens.is_one_to_one(edges.reshape(-1, 2)):
         numbers = ", ".join(f"{key} {value:g}" for key, value in frame.lens.record.items() if value)
         raise CaptureError(
-            f"{frame.label}: the lens ({numbers}) folds over inside the photograph, so its numbers "
-            "do not hold as far as the corners; correct them, crop the photographs, or undistort "
-            "them by the camera's own program."
+            f"{frame.label}: the lens ({numbers}) folds over inside the photograph, so its "
+            "coefficients are not valid up to the corners; correct them, crop the photographs, or "
+            "undistort them with the camera's program."
         )
     left, right, top, bottom = edges * focal + center
     beyond = (WIDEST - 1) / 2 * size
@@ -73,17 +72,17 @@ def undistorted_frame(frame: Frame) -> Frame:
     width, height = (int(n + WHOLE) for n in np.maximum(high - low, 0))
     if min(width, height) < 1:
         raise CaptureError(
-            f"{frame.label}: nothing is left of the photograph when its lines are straightened; "
-            "correct its lens, or undistort the photographs first."
+            f"{frame.label}: the undistorted photograph is empty; correct its lens, or undistort "
+            "the photographs first."
         )
     x, y = center - low
     return replace(frame, lens=None, size=(width, height), center=(float(x), float(y)))
 
 
 def undistort_planes(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
-    """Undistort planes (H, W) of a photograph bilinearly; they are returned without a lens.
+    """Undistort finite float32 planes (H, W) of a photograph by bilinear interpolation.
 
-    They are float32 and finite, and get the size of ``undistorted_frame(frame)``.
+    The result has the size of ``undistorted_frame(frame)``; it is ``planes`` without a lens.
     """
     if frame.lens is None:
         return planes
@@ -103,15 +102,15 @@ def undistort_planes(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.
 
 
 def square_pixel_frame(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, float]]:
-    """Return the frame with straight lines and square pixels, and the scale of width and height.
+    """Return the undistorted frame with square pixels, and the scale of width and height.
 
     Args:
-        frame: as calibrated.
-        shrink: factor by which pixels become larger, at least 1.
+        frame: calibrated camera of the photograph.
+        shrink: factor that enlarges pixels, at least 1.
     """
     frame = undistorted_frame(frame)
     if not (np.isfinite(shrink) and shrink >= 1):
-        raise OptionError(f"The factor to shrink photographs by must be at least 1, got {shrink}.")
+        raise OptionError(f"--shrink must be at least 1, got {shrink}.")
     fx, fy = frame.focal
     if abs(fx / fy - 1) * max(frame.size) / 2 < NEARLY_SQUARE:
         fx = fy = float(np.sqrt(fx * fy))
@@ -127,8 +126,8 @@ def square_pixel_frame(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[
 def average_area(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
     """Average an image (H, W, C) over the area of its new pixels.
 
-    ``scale``: of width and height, at most 1; both 1 returns the image itself. The new size is that
-    of ``square_pixel_frame``.
+    ``scale`` is the scale of width and height, at most 1. The new size is as in
+    ``square_pixel_frame``.
     """
     for axis, factor in ((1, scale[0]), (0, scale[1])):
         if factor != 1:
@@ -137,7 +136,7 @@ def average_area(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
 
 
 def _average_axis(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
-    """Average along one axis in strips, to save memory in double precision."""
+    """Average along one axis, in strips to save memory."""
     lines = np.moveaxis(image, axis, 0)
     count = int(len(lines) * factor + WHOLE)
     made = np.empty((count, *lines.shape[1:]), np.float32)

@@ -167,9 +167,9 @@ def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
     lens = Lens(**{"k1": -0.26, "k2": 0.09, "k3": -0.015})
     focal = (0.4 * WIDTH, 0.4 * WIDTH)
     sentence = re.escape(
-        "the lens (k1 -0.26, k2 0.09, k3 -0.015) folds over inside the photograph, so its numbers "
-        "do not hold as far as the corners; correct them, crop the photographs, or undistort them "
-        "by the camera's own program."
+        "the lens (k1 -0.26, k2 0.09, k3 -0.015) folds over inside the photograph, so its "
+        "coefficients are not valid up to the corners; correct them, crop the photographs, or "
+        "undistort them with the camera's program."
     )
     with pytest.raises(CaptureError, match=sentence):
         undistorted_frame(frame_of(lens, focal=focal))

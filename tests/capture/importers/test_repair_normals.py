@@ -114,8 +114,8 @@ def test_a_noisy_scan_is_smoothed_all_over(part):
     """Creases would keep its noise: 31 degrees instead of 20, on average."""
     mesh, notes = repair_normals(shaken(trimesh.creation.icosphere(subdivisions=5), part), "scan")
     assert notes == [
-        "scan: normals are computed; the surface is too noisy to tell edges from noise, so none is "
-        "kept sharp."
+        "scan: normals are computed; the surface is too noisy to detect edges, so none are kept "
+        "sharp."
     ]
     assert len(mesh.positions) == 10242
     wanted = mesh.positions / np.linalg.norm(mesh.positions, axis=1, keepdims=True)
@@ -347,8 +347,8 @@ def painted(folder: Path, **material: object) -> Path:
 def test_what_a_gltf_has_that_is_ignored_is_said(tmp_path, material, named):
     path = painted(tmp_path, **material)
     sentence = (
-        f"{path}: has {named}, left out: the object is taken to have a base colour, roughness and "
-        "metallic only, and the normals of its mesh."
+        f"{path}: has {named}, ignored: the material has only base colour, roughness and "
+        "metallic, and normals come from the mesh."
     )
     assert sentence in read_textured_mesh(path).notes
     assert sentence not in read_textured_mesh(path, geometry_only=True).notes
@@ -364,8 +364,8 @@ def test_a_bump_map_of_an_obj_is_said_too(tmp_path):
         "f 1/1 2/2 3/3\n"
     )
     assert read_textured_mesh(tmp_path / "scan.obj").notes == [
-        f"{tmp_path / 'scan.obj'}: has a bump map, a normal map, left out: the object is taken to "
-        "have a base colour, roughness and metallic only, and the normals of its mesh."
+        f"{tmp_path / 'scan.obj'}: has a bump map, a normal map, ignored: the material has only "
+        "base colour, roughness and metallic, and normals come from the mesh."
     ]
     assert not read_textured_mesh(tmp_path / "scan.obj", geometry_only=True).notes[1:]
 
