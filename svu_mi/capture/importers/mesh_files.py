@@ -32,8 +32,8 @@ from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
-# As in Mitsuba's plugin, unless a comment names a texture, as MeshLab and scanners write it. trimesh
-# returns V upwards for other formats.
+# As in Mitsuba's plugin, unless a comment names a texture, as in files of MeshLab and scanners.
+# trimesh returns V upwards for other formats.
 V_DOWN = (".ply",)
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles

@@ -1,7 +1,7 @@
 """Importer of ``transforms.json``: NeRF tools, Blender and nerfstudio.
 
-There, camera space is +X right, +Y up, and the camera looks along -Z (``OPENGL``). World space is
-the scene's own; Blender's and nerfstudio's have +Z up. The keys are nerfstudio's:
+Camera space is +X right, +Y up, and the camera looks along -Z (``OPENGL``). World space depends on
+the scene; Blender and nerfstudio have +Z up. The keys follow nerfstudio:
 https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
@@ -26,24 +26,24 @@ if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
 
 FILE = "transforms.json"
-SPLITS = ("train", "test", "val")  # parts that a folder usually has
+SPLITS = ("train", "test", "val")  # usual parts of a data set
 UNSUPPORTED = ("k5", "k6")  # coefficients that the lens model lacks
 NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # model names
 
 
 def recognises(path: Path, split: str) -> bool:
-    """Whether a path is a JSON file, or a folder with ``transforms.json`` or a split of it."""
+    """Return whether a path is a JSON file, or a folder with ``transforms[_SPLIT].json``."""
     files = (path / FILE, *(_split_file(path, name) for name in (*SPLITS, split)))
     return path.suffix.lower() == ".json" or any(file.is_file() for file in files)
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read a file, or the one in a folder (see ``read_transforms``)."""
+    """Read a file, or the file in a folder (see ``read_transforms``)."""
     if not path.is_file():
         part = _split_file(path, options.split)
         if not part.is_file() and options.split not in SPLITS:
             raise OptionError(
-                f"{path}: has no {part.name}; use a split that it has, usually one of "
+                f"{path}: has no {part.name}; use an existing split, usually one of "
                 f"{', '.join(SPLITS)}."
             )
         path = part if part.is_file() else path / FILE
@@ -55,18 +55,21 @@ def _split_file(folder: Path, split: str) -> Path:
 
 
 def read_transforms(path: str | Path, *, original_world: bool = False) -> Source:
-    """Read poses, intrinsics and the names of photographs and masks.
+    """Read poses, intrinsics, and paths of photographs and masks.
 
-    Intrinsics are taken from the frame, or else from the file: ``fl_x`` (or ``camera_angle_x``,
-    the opening angle in radians), ``fl_y``, ``cx``, ``cy`` (the centre by default), ``w``, ``h``
-    (by default those of the photograph). ``exposure`` is a gain per frame, ours. A
-    ``file_path`` without extension is looked for with each that photographs may have. Lenses are
-    ``k1``, ``k2``, ``k3``, ``k4``, ``p1``, ``p2``, or these six as a list ``distortion_params``.
+    Intrinsics are keys of the frame, else of the file: ``fl_x`` (or ``camera_angle_x``, the opening
+    angle in radians), ``fl_y``, ``cx``, ``cy`` (default: the centre), ``w``, ``h`` (default: the
+    photograph's size). ``exposure`` is a gain per frame, an extension of svu. A ``file_path``
+    without suffix is tried with all suffixes of photographs. Lens coefficients are ``k1``, ``k2``,
+    ``k3``, ``k4``, ``p1``, ``p2``, or a list ``distortion_params`` in this order.
 
     Args:
-        path: the file.
-        original_world: undo nerfstudio's ``applied_transform``, so that poses are those of the
-            world before it, which a mesh from the photogrammetry tool is in.
+        path: path of the file.
+        original_world: True to undo nerfstudio's ``applied_transform``, for a mesh in the world of
+            the photogrammetry tool.
+
+    Raises:
+        CaptureError: the file is damaged, or has invalid poses or intrinsics.
     """
     path = Path(path)
     record, frames = read_poses(path)
@@ -77,8 +80,8 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     before = np.linalg.inv(applied) if original_world else np.eye(4)
     usual = _default_size(path, record, frames)
     notes = [] if original_world or np.allclose(applied, np.eye(4)) else [
-        f"{path}: has an applied_transform; poses are used as they are, in the world after it. "
-        "If the mesh is in the world before it, import with --original-world."
+        f"{path}: has an applied_transform; poses are not converted to the world before it. "
+        "If the mesh is in that world, import with --original-world."
     ]  # fmt: skip
     return Source(
         format="transforms",
@@ -93,7 +96,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
 
 
 def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """Return the JSON object of a file and its frames, at least one; a CaptureError otherwise."""
+    """Return the JSON object of a file and its frames, at least one; raise CaptureError."""
     record = read_json(path)
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -105,8 +108,10 @@ def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
 def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
     """Write frames as ``transforms.json``, with intrinsics per frame.
 
-    Files in the folder of ``path`` are named relative to it, others by their name alone; they need
-    not exist. An OutputError says that the file cannot be written.
+    Files in the folder of ``path`` get relative paths, others their name; they need not exist.
+
+    Raises:
+        OutputError: the file cannot be written.
     """
     root = Path(path).parent
     records = [_record(frame, root) for frame in frames]
@@ -139,8 +144,8 @@ def parse_frame(
 ) -> Frame:  # fmt: skip
     """Read one frame, ``given``, with the common values of ``record``.
 
-    Files are named relative to ``root``, ``before`` (4, 4) is applied to the pose from the left,
-    and ``usual`` is the size of a missing photograph.
+    Paths are relative to ``root``, ``before`` (4, 4) is multiplied to the pose from the left, and
+    ``usual`` is the size of a missing photograph.
     """
     try:
         known = {**record, **given}
@@ -170,7 +175,7 @@ def parse_frame(
 
 
 def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
-    """Return the lens, None without distortion; refuse cameras that are not pinholes."""
+    """Return the lens, or None without distortion; raise CaptureError for other cameras."""
     model = str(known.get("camera_model", "")).upper()
     if any(name in model for name in NOT_PINHOLE) or known.get("is_fisheye"):
         raise CaptureError(
@@ -188,8 +193,8 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
         numbers = [float(number) for number in listed]
     if not np.isfinite(numbers).all() or any(known.get(key) for key in UNSUPPORTED):
         raise CaptureError(
-            f"{label}: a lens must be finite numbers {', '.join(COEFFICIENTS)}, others and NaN are "
-            "not supported; undistort the photographs first."
+            f"{label}: lens coefficients must be finite, and only {', '.join(COEFFICIENTS)} are "
+            "supported; undistort the photographs first."
         )
     if not any(numbers):
         return None
@@ -243,7 +248,7 @@ def _focal(
 
 
 def _image_path(root: Path, given: Any, label: str) -> Path:
-    """Return the photograph of a frame, which need not name one."""
+    """Return the path of a photograph; ``none`` if the frame contains no path."""
     if given is None:
         return root / "none"
     path = safe_path(root, given, label)

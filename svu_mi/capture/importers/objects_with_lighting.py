@@ -1,6 +1,6 @@
 """Importer of Objects with Lighting, the data set of Ummenhofer et al. (3DV 2024).
 
-Its README has the layout and the conventions, https://github.com/isl-org/objects-with-lighting:
+Layout and conventions are in its README, https://github.com/isl-org/objects-with-lighting:
 pixels are ``K (R X + t)`` in OpenCV's axes with the centre of the first pixel at (0.5, 0.5),
 photographs are ``255 (x 2^exposure)^(1/2.2)``, and environment maps have +Z at the top, +X in the
 centre and +Y at u = 1/4 (``blender``).
@@ -22,36 +22,40 @@ if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
 
 INPUTS = "inputs"
-PLACES = (INPUTS, f"test/{INPUTS}", ".")  # of the photographs: in a test, in an object, here
+PLACES = (
+    INPUTS,
+    f"test/{INPUTS}",
+    ".",
+)  # of photographs, relative to a test, to an object, and to itself
 ROTATED, ENVIRONMENT, WORLD_TO_ENV = "env_512_rotated.hdr", "env.hdr", "world_to_env.txt"
 EXPOSURE = "exposure.txt"
-# The data has no mesh; the benchmark's own baseline puts its meshes here, with UVs and without.
+# The data has no mesh; the baseline of the benchmark writes these, with and without UVs.
 MESHES = ("prepared_mesh", "neus_mesh")
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl")
-STOPS = 64  # of exposure, either way
-LARGEST = 1e12  # number, in any of the text files
+STOPS = 64  # limit of the exposure, positive or negative
+LARGEST = 1e12  # limit of numbers in the text files
 LARGEST_TEXT = 2**16  # bytes
 RULES = (
-    "The benchmark gives the environment map for debugging, not for reconstruction: results found "
-    "with it must not be entered there. Its masks are approximate."
+    "The environment map of the benchmark is for debugging: results that use it must not be "
+    "submitted. Its masks are approximate."
 )
 
 
 def find_inputs(path: Path) -> Path | None:
-    """Return the folder ``inputs`` of an object or of one of its tests; None without."""
+    """Return the folder ``inputs`` of an object or of one of its tests; None if missing."""
     folders = [Path(os.path.normpath(path / place)) for place in PLACES]
     return next((f for f in folders if (f / EXPOSURE).is_file()), None)
 
 
 def recognises(path: Path, _: str) -> bool:
-    """Whether a folder is an object of this data set."""
+    """Return whether a folder is an object of this data set."""
     return find_inputs(path) is not None
 
 
 def read(path: Path, _: ReadOptions) -> Source:
-    """Read the photographs of an object that are for reconstruction, and their light.
+    """Read the reconstruction photographs of an object, and their light.
 
-    ``path``: the object's folder, ``test`` in it, or ``inputs`` in that.
+    ``path`` is the object's folder, ``test`` in it, or ``inputs`` in that.
     """
     inputs = find_inputs(path)
     if inputs is None:
@@ -87,8 +91,8 @@ def _frame(camera: Path, gain: float) -> Frame:
         raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
     if (size != np.floor(size)).any():
         raise CaptureError(
-            f"{camera}: a photograph of {size[0]:g} x {size[1]:g} pixels; width and height must be "
-            "whole numbers: copy the file again."
+            f"{camera}: the size {size[0]:g} x {size[1]:g} must be two whole numbers of "
+            "pixels; copy the file again."
         )
     try:
         to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
@@ -112,7 +116,7 @@ def _frame(camera: Path, gain: float) -> Frame:
 
 
 def _light(test: Path) -> Light | None:
-    """Return the map turned into the world, or else the map as taken with its rotation."""
+    """Return the map in world axes, else the original map with its rotation, or None."""
     axes = ENVIRONMENT_AXES["blender"]
     if (test / ROTATED).is_file():
         return Light(path=test / ROTATED, to_world=axes)

@@ -11,8 +11,8 @@ import trimesh
 from svu_mi.capture.mesh import MeshArrays, crosses_of
 
 CREASE = 40  # degrees between two triangles, from which their edge is a crease
-# In scans with errors of a fifth of the point distance, 13 to 17 % of the edges are creases. Designed
-# parts have more creases, but at least a third of their edges is flat.
+# In scans with errors of a fifth of the point distance, 13 to 17 % of the edges are creases.
+# Designed parts have more creases, but at least a third of their edges is flat.
 NOISY, FLAT, DENSE = 0.1, 0.25, 4000  # shares of edges; smallest number of triangles
 PLANE = 5  # degrees between two triangles, below which their edge is flat
 AGREE = 0.6  # mean cosine of vertex and face normals; correct files have .9, swapped axes .3

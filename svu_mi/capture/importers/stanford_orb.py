@@ -10,10 +10,10 @@ A capture is an object in one place, such as ``teapot_scene001``:
         env_map/0000.exr                 one for each test photograph
         mesh_blender/mesh.obj, pseudo_gt_albedo/0000.png
 
-Poses are those of ``transforms.json``. Frames of ``novel`` are test photographs of the same object
-in other places, ``scene_name``, with the pose that the camera would have here. An environment map
-is in the frame of its photograph's camera, with the viewing direction in its centre and +Y up: it
-turns with the camera, so its ``to_world`` is the camera's rotation.
+Poses follow ``transforms.json``. Frames of ``novel`` are test photographs of the same object in
+other places, ``scene_name``, with poses relative to the object of this capture. An environment map
+is in the frame of its photograph's camera, with the viewing direction in its centre and +Y up, so
+its ``to_world`` is the camera's rotation.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ ENVIRONMENTS, ALBEDO = "env_map", "pseudo_gt_albedo"
 
 @dataclass(frozen=True, kw_only=True)
 class OrbView:
-    """One photograph of the data set.
+    """Photograph of the data set.
 
     Attributes:
-        capture: name of its capture: another one for ``novel`` views.
+        capture: name of its capture; for ``novel`` views, another one than was read.
         frame: photograph, mask and camera, in the world of the capture that was read.
-        light: its environment map, if there is one.
-        albedo: picture of the object's base colour (sRGB), if there is one.
+        light: environment map; None if missing.
+        albedo: path of a picture of the base colour (sRGB); None if missing.
     """
 
     capture: str
@@ -60,12 +60,12 @@ class OrbView:
 
     @property
     def name(self) -> str:
-        """``0000`` of ``0000.exr``."""
+        """Name of the photograph without suffix, such as ``0000``."""
         return self.frame.image.stem
 
 
 def recognises(path: Path, _: str) -> bool:
-    """Whether a folder looks like a capture of this data set."""
+    """Return whether a folder has the layout of this data set."""
     return path.absolute().parent.name in SUFFIXES and (path / _file("train")).is_file()
 
 
@@ -80,12 +80,15 @@ def read_orb(
     """Read a capture of Stanford-ORB.
 
     Args:
-        path: its folder, ``DATA/blender_HDR/CAPTURE`` (or ``blender_LDR``).
-        split: ``train``, ``test``, or the name of another capture of this object, for the
-            photographs of it that have a pose here.
-        environment_view: name of the test photograph, such as ``0003``, whose environment map
-            is the light; the first of the file by default. Each photograph has a map of its own,
-            since people and clouds move.
+        path: path of its folder, ``DATA/blender_HDR/CAPTURE`` (or ``blender_LDR``).
+        split: ``train``, ``test``, or the name of another capture of this object, for its
+            ``novel`` views.
+        environment_view: name of the test photograph, such as ``0003``, whose environment map is
+            the light; the first one by default. Maps differ because people and clouds move.
+
+    Raises:
+        CaptureError: the folder is not of this data set, or damaged.
+        OptionError: ``split`` or ``environment_view`` does not exist.
     """
     path = Path(os.path.abspath(path))
     if split in ("train", "test"):
@@ -100,7 +103,7 @@ def read_orb(
     if mesh.is_file():
         notes.append(
             f"{mesh}: the scans of this data set have normals rotated by 90 degrees (y and z "
-            "exchanged); normals that contradict their triangles are computed again."
+            "exchanged); normals that contradict their triangles are recomputed."
         )
     return Source(
         format="stanford-orb",
@@ -116,7 +119,7 @@ def read_orb(
 def read_views(path: str | Path, split: Split) -> tuple[OrbView, ...]:
     """Read the photographs of a split (``train``, ``test``, ``novel``) with their environments.
 
-    See ``read_orb`` for errors; ``train`` has no environments.
+    Photographs of ``train`` have no environment maps. Errors are as in ``read_orb``.
     """
     path = Path(os.path.abspath(path))
     if path.parent.name not in SUFFIXES:
@@ -177,7 +180,7 @@ def _light(
         )
     chosen = wanted or next(iter(lights))
     note = (
-        f"{path}: {len(lights)} environment maps, one for each test photograph; that of {chosen} "
+        f"{path}: {len(lights)} environment maps, one per test photograph; the map of {chosen} "
         "is used for all."
     )
     return lights[chosen], [note] if len(lights) > 1 else []

@@ -770,7 +770,7 @@ def test_a_format_is_a_module_and_a_line_of_the_table(tmp_path, monkeypatch):
 def test_any_part_of_a_data_set_can_be_asked_for(tmp_path):
     folder = transforms(tmp_path)
     valid = folder / "transforms_valid.json"
-    with pytest.raises(OptionError, match="has no transforms_valid.json; use a split that it has"):
+    with pytest.raises(OptionError, match="has no transforms_valid.json; use an existing split"):
         read_source(folder, ReadOptions(split="valid"))
     train = (folder / "transforms_train.json").rename(valid)
     assert read_source(folder, ReadOptions(split="valid")).frames[0].label.startswith(str(valid))

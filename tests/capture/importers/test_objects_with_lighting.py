@@ -51,7 +51,7 @@ def written(source, tmp_path_factory):
 def test_what_is_written_is_read(source, written):
     again = read(written, ReadOptions())
     assert again.format == "owl" and (again.camera_axes == OPENCV).all()
-    assert again.root == written / "test" and "not for reconstruction" in again.notes[0]
+    assert again.root == written / "test" and "is for debugging" in again.notes[0]
     for got, wanted in zip(again.frames, source.frames, strict=True):
         np.testing.assert_allclose(got.to_world, wanted.to_world, atol=1e-12)
         assert (got.focal, got.center, got.size) == (wanted.focal, wanted.center, wanted.size)
@@ -138,7 +138,10 @@ BROKEN = {
     "a K of another kind": ({CAMERA: GOOD.replace("0 0 1\n1", "0 0 2\n1")}, "its K must"),
     "a mirror": ({CAMERA: GOOD.replace("0 1 0", "0 -1 0")}, "mirrored"),
     "no rotation": ({CAMERA: GOOD.replace("0 1 0", "0 0 0")}, "R is not a rotation"),
-    "a broken size": ({CAMERA: GOOD.replace("8 6", "8.5 6")}, "8.5 x 6 .* whole numbers: copy"),
+    "a broken size": (
+        {CAMERA: GOOD.replace("8 6", "8.5 6")},
+        "8.5 x 6 .* whole numbers of pixels; copy",
+    ),
     "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "must hold 24"),
     "a large size": ({CAMERA: GOOD.replace("8 6", "1e9 6")}, "must be 1 to 65536"),
     "no photograph": ({"inputs/image_0000.png": None}, "image_0000.png: no such photograph"),

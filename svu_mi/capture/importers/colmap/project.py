@@ -1,7 +1,7 @@
 """COLMAP projects: a sparse model and its photographs as a ``Source``.
 
 Its camera space is +X right, +Y down, +Z forward (``OPENCV``), poses are world to camera, and
-the centre of the first pixel is (0.5, 0.5). The world is wherever the reconstruction began.
+the centre of the first pixel is (0.5, 0.5). World axes and unit are arbitrary.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from svu_mi.errors import CaptureError, excerpt
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
 
-# Undistorted models go before those they were made from: both have the same world.
+# Undistorted models come before their distorted originals; both have the same world.
 # nerfstudio keeps the project in colmap/, next to the photographs.
 PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".", "0")
 IMAGES, MASKS = "images", "masks"
@@ -31,9 +31,9 @@ IMAGES, MASKS = "images", "masks"
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
-    """A sparse model with cameras by their number, and V views in the order of their names.
+    """Sparse model: cameras by number, and V views sorted by name.
 
-    ``images`` is the folder of the V photographs; ``masks`` has None for each without one.
+    ``images`` is the folder of the V photographs; ``masks`` contains None for missing masks.
     """
 
     model: Path
@@ -45,16 +45,16 @@ class Project:
 
 
 def recognises(path: Path, _: str) -> bool:
-    """Whether a folder holds a sparse model."""
+    """Return whether a folder contains a sparse model."""
     return find_model(path) is not None
 
 
 def read(path: Path, options: ReadOptions) -> Source:
-    """Read a sparse model, in the order of the images' names.
+    """Read a sparse model; its views are sorted by name.
 
-    ``path``: the model's folder, the folder ``sparse`` that its ``0`` is in, or a project with
-    ``sparse/0``, ``sparse`` or ``dense/sparse``. ``images`` and ``masks`` are next to the model by
-    default; a mask is ``NAME.png`` for the image NAME, or of the same stem.
+    ``path`` is the folder of the model, the folder ``sparse`` that contains its ``0``, or a project
+    with ``sparse/0``, ``sparse`` or ``dense/sparse``. By default, ``images`` and ``masks`` are near
+    the model. The mask of an image NAME is ``NAME.png``, or has the same stem.
     """
     project = read_project(path, options.images, options.masks, partly=True)
     frames = []
@@ -85,7 +85,7 @@ def read(path: Path, options: ReadOptions) -> Source:
 
 
 def find_model(path: Path) -> Path | None:
-    """Return the folder of the sparse model in a project, or the folder itself; None without."""
+    """Return the folder of the sparse model in a project, or the folder itself; or None."""
     folders = [Path(os.path.normpath(path / place)) for place in PLACES]
     return next((folder for folder in folders if is_model(folder)), None)
 
@@ -93,9 +93,9 @@ def find_model(path: Path) -> Path | None:
 def read_project(
     path: Path, images: Path | None, masks: Path | None, *, partly: bool = False
 ) -> Project:
-    """Read the model and find its pictures, some of which may be missing if ``partly``.
+    """Read a model and find its pictures; if ``partly``, some photographs may be missing.
 
-    See ``read`` for paths and errors.
+    Paths are as in ``read``.
     """
     model = find_model(path)
     if model is None:
@@ -127,7 +127,7 @@ def _label(model: Path, view: Pose) -> str:
 
 
 def _possible_folders(model: Path, name: str) -> list[Path]:
-    """Return places of a folder in the model's own or one above, as deep as projects nest it."""
+    """Return candidates of a folder: in the folder of the model, and in folders above."""
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
     return [Path(os.path.normpath(model / up / name)) for up in ways]
@@ -135,9 +135,9 @@ def _possible_folders(model: Path, name: str) -> list[Path]:
 
 def _notes(project: Project) -> Iterator[str]:
     yield (
-        f"{len(project.views)} images of COLMAP, whose world has its own unit and up axis: the "
-        "mesh must be in that world."
+        f"{len(project.views)} images of COLMAP; its world has its own unit and up axis, and the "
+        "mesh must use the same."
     )
     folder = project.model.parent
     if project.model.name == "0" and is_model(folder / "1"):
-        yield f"{folder}: has several models, parts of a whole; 0 is used."
+        yield f"{folder}: has several models of parts of the scene; model 0 is used."

@@ -1,7 +1,6 @@
 """Reader and writer of COLMAP's sparse models: cameras and poses of images.
 
-Read and written here, not by pycolmap: given a damaged file, that may fill the memory or not come
-back, and pinhole cameras need nothing else of it. The layout is
+Files are parsed here because pycolmap may fill the memory or hang on damaged files. The layout is
 https://colmap.github.io/format.html; models with ``rigs`` and ``frames`` have the same two files.
 """
 
@@ -23,7 +22,7 @@ from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.core.io.files import replacing
 from svu_mi.errors import CaptureError, excerpt
 
-# Parameters of each camera model, in the order of their numbers (COLMAP's sensor/models.h).
+# Number of parameters of each camera model, in the order of COLMAP's sensor/models.h.
 PARAMETERS = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8,
     "OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4,
@@ -31,15 +30,15 @@ PARAMETERS = {
     "SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6,
     "EQUIRECTANGULAR": 2,
 }  # fmt: skip
-# Focal lengths of models that are pinholes if all parameters after the centre are zero.
+# Number of focal lengths of models that are pinholes if all later parameters are zero.
 FOCAL_LENGTHS = {
     "SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2,
     "FULL_OPENCV": 2, "SIMPLE_DIVISION": 1, "DIVISION": 2,
 }  # fmt: skip
-# Parameters after the centre, of models that are undistorted here.
+# Distortion parameters of models that ``Lens`` supports.
 COEFFICIENTS = {
     "SIMPLE_RADIAL": ("k1",), "RADIAL": ("k1", "k2"), "OPENCV": ("k1", "k2", "p1", "p2"),
-    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3"),  # if the others, k4 to k6, are zero
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3"),  # if k4 to k6 are zero
 }  # fmt: skip
 CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
@@ -50,9 +49,9 @@ UNIT = 1e-2  # tolerance of the norm of a quaternion
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """Camera of COLMAP: a model of ``PARAMETERS``, a size in pixels, and its parameters.
+    """Camera of COLMAP: model (a key of ``PARAMETERS``), size in pixels, and parameters.
 
-    These are focal length(s), principal point from the corner (0, 0), and distortion.
+    Parameters are focal length(s), principal point from the corner (0, 0), and distortion.
     """
 
     model: str
@@ -62,23 +61,23 @@ class ColmapCamera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether the camera has no distortion."""
+        """True if the camera has no distortion."""
         return self.model in FOCAL_LENGTHS and not any(self.distortion)
 
     @property
     def intrinsics(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Focal lengths and principal point, of a model in ``FOCAL_LENGTHS``."""
+        """Focal lengths and principal point of a model in ``FOCAL_LENGTHS``."""
         count = FOCAL_LENGTHS[self.model]
         focal, center = self.parameters[:count], self.parameters[count : count + 2]
         return (focal[0], focal[-1]), (center[0], center[1])
 
     @property
     def distortion(self) -> tuple[float, ...]:
-        """Distortion, of a model in ``FOCAL_LENGTHS``."""
+        """Distortion parameters of a model in ``FOCAL_LENGTHS``."""
         return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
 
     def lens(self) -> Lens | None:
-        """Return the lens if it is distorted and of our model, else None."""
+        """Return the lens if it is distorted and supported by ``Lens``, else None."""
         names = COEFFICIENTS.get(self.model, ())
         if not names or self.is_pinhole or any(self.distortion[len(names) :]):
             return None
@@ -87,7 +86,7 @@ class ColmapCamera:
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of an image, world to camera, +X right, +Y down, +Z forward.
+    """Pose of an image: world to camera, +X right, +Y down, +Z forward.
 
     ``rotation`` is a unit quaternion (w, x, y, z).
     """
@@ -99,12 +98,12 @@ class Pose:
 
 
 def is_model(folder: Path) -> bool:
-    """Whether a folder holds a sparse model."""
+    """Return whether a folder contains a sparse model."""
     return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
 
 
 def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[Pose]]:
-    """Read cameras by number, and views by name; ``.bin`` goes before ``.txt``, as in COLMAP."""
+    """Read cameras by number, and views sorted by name; prefer ``.bin``, as in COLMAP."""
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = folder / f"cameras{suffix}", folder / f"images{suffix}"
     for path in files:
@@ -165,7 +164,7 @@ def _finite(values: Sequence[float]) -> tuple[float, ...]:
 
 
 class _BinaryReader:
-    """Values of a binary file, one after the other, little-endian."""
+    """Sequential reader of a little-endian binary file."""
 
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
@@ -183,7 +182,7 @@ class _BinaryReader:
         return self._data[start:end].decode()
 
     def skip(self, size: int) -> int:
-        """Go on by a number of bytes and return where they start."""
+        """Skip ``size`` bytes and return their start."""
         start, self._at = self._at, self._at + size
         if self.left < 0:
             raise ValueError("the file ends too early")
@@ -196,7 +195,7 @@ class _BinaryReader:
 
 @contextlib.contextmanager
 def _parser_errors(path: Path) -> Iterator[None]:
-    """Turn parser errors into a CaptureError of a file."""
+    """Turn parser errors into a CaptureError that names the file."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -215,7 +214,7 @@ def _records(path: Path) -> Iterator[_BinaryReader]:
 def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras, models = {}, list(PARAMETERS)
     with _parser_errors(path), _records(path) as records:
-        for _ in range(records.take("Q")[0]):  # a damaged count ends with the file
+        for _ in range(records.take("Q")[0]):  # a damaged count fails at the end of the file
             number, model, width, height = records.take("IiQQ")
             if not 0 <= model < len(models):
                 raise ValueError(f"camera model {model} is unknown")
@@ -255,9 +254,9 @@ def _parse_views(path: Path) -> list[Pose]:
                 raise ValueError("a name has no end")
             pose = [float(field) for field in fields]
             views.append(Pose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
-            # Every second line has the image's points; it is there even if it is empty.
+            # Every second line contains the image's points, and may be empty.
             if len(next(lines, "").split()) % 3:
-                raise ValueError("a line of points (X Y POINT3D_ID ...) is not there or damaged")
+                raise ValueError("a line of points (X Y POINT3D_ID ...) is missing or damaged")
     return views
 
 

@@ -1,10 +1,9 @@
 """Undistortion of COLMAP photographs and masks by pycolmap.
 
-Only for lenses that are not of OpenCV's model (``lens_distortion``), such as fisheyes.
+Only needed for lenses outside of OpenCV's model (``lens_distortion``), such as fisheyes.
 
-It runs in a process of its own: it aborts on what it does not expect, and its copy of zlib must
-not meet that of Pillow. It gets nothing but a model with the cameras and poses that were read
-here, and pictures that were decoded here.
+pycolmap runs in a separate process: it aborts on unexpected input, and its copy of zlib conflicts
+with Pillow's. It only gets models and pictures that this package has decoded before.
 """
 
 from __future__ import annotations
@@ -32,16 +31,21 @@ from svu_mi.errors import CaptureError, OutputError, SvuEnvironmentError
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
 SCRIPT = "import sys, pycolmap; pycolmap.undistort_images(*sys.argv[1:], jpeg_quality=100)"
-LONGEST = 160  # letters of its reason, in a message
+LONGEST = 160  # letters of pycolmap's reason in a message
 
 
 def undistort(
     path: Path, output: Path, *, images: Path | None = None, masks: Path | None = None
 ) -> Path:
-    """Write an undistorted copy of a project into an empty or new folder, for ``source.read``.
+    """Write an undistorted copy of a project to an empty or new folder, and return it.
 
-    ``images`` and ``masks`` are those of ``source.read``; without masks, alpha channels become
-    masks. Returns the folder.
+    ``images`` and ``masks`` are folders as in ``project.read``. Without masks, alpha channels
+    become masks.
+
+    Raises:
+        SvuEnvironmentError: pycolmap is not installed.
+        CaptureError: the project is damaged, or pycolmap does not support its cameras.
+        OutputError: the folder contains files, or cannot be written.
     """
     if importlib.util.find_spec("pycolmap") is None:
         raise SvuEnvironmentError(
@@ -82,7 +86,7 @@ def undistort(
 
 
 def _require_one_to_one(camera: ColmapCamera, label: str) -> None:
-    """Refuse a lens that shows something twice: COLMAP would undistort it to pictures of rings."""
+    """Raise CaptureError if the lens folds over: COLMAP would write pictures of rings."""
     lens = camera.lens()
     if lens is None:
         return
