@@ -244,7 +244,7 @@ def test_a_distorted_transforms_json_is_read(tmp_path, changes):
 
 @pytest.mark.parametrize(("changes", "sentence"), [
     ({"distortion_params": [0.1, 0, 0, 0]}, "must be the 6 numbers k1, k2, .*, got 4; give each"),
-    ({"k1": float("nan")}, "must be finite"), ({"k5": 0.1}, "finite, and only k1, .* are supported"),
+    ({"k1": float("nan")}, "must be finite"), ({"k5": 0.1}, "finite, and only k1, .* are"),
     ({"k1": "much"}, "frame 0"), ({"distortion_params": {"k1": 1}}, "frame 0"),
 ])  # fmt: skip
 def test_lenses_of_another_kind(tmp_path, changes, sentence):
