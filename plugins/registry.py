@@ -19,7 +19,7 @@ _loaded_for: str | None = None
 
 
 def load(old_variant: str | None = None, new_variant: str | None = None) -> None:
-    """Import or reload all plugin modules, unless they are loaded for the active variant."""
+    """Import or reload all plugin modules if the variant has changed."""
     del old_variant, new_variant
     global _loaded_for
     variant = mi.variant()

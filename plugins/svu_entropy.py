@@ -135,8 +135,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             filename = ""
         if len(nested) + bool(filename) != 1:
             raise OptionError(
-                "svu_entropy: needs exactly one map: either the file name 'map', or a nested "
-                "texture."
+                "svu_entropy: needs exactly one map, as the file name 'map' or a nested texture."
             )
         if nested:
             return "nested texture", nested[0]
@@ -150,7 +149,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         medium: mi.Medium | None = None,
         active: bool | mi.Bool = True,
     ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
-        """Return the colour of the map if the ray hits a selected shape, else the background."""
+        """Return the map's colour where rays hit a selected shape, else the background."""
         del sampler, medium
         si = scene.ray_intersect(ray, active)
         shown = si.is_valid() & self._chosen(scene, si.shape)

@@ -1,4 +1,4 @@
-"""Differentiable Mitsuba integrator with the reflection model of svu_mi (filtered light)."""
+"""Differentiable Mitsuba integrator with the reflection model of svu_mi."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ class ShIntegrator(mi.SamplingIntegrator):
 
 @dataclass(frozen=True)
 class _Light:
-    """Prefiltered light and its source, which is kept alive so that its key stays unique."""
+    """Prefiltered light, and a reference to its source that keeps the key unique."""
 
     model: PrefilteredModel
     moments: MomentMap

@@ -31,8 +31,8 @@ def path(name: str) -> Path:
     """Return the path of a scene's XML file.
 
     Scene parameters (``-D key=value``): ``light`` (one of ``LIGHTS``), ``resolution`` (pixels per
-    side), ``spp`` (samples per pixel), ``max_depth`` (maximum path length) and ``integrator``
-    (``path``, ``prb``, or another type with a ``max_depth``).
+    side), ``spp`` (samples per pixel), ``max_depth`` (maximum path length) and ``integrator``. The
+    integrator can be ``path``, ``prb``, or another type with a ``max_depth``.
     """
     if name not in (*NAMES, "object"):
         raise OptionError(f"Unknown scene {name!r}; use one of {', '.join(NAMES)} or object.")
@@ -40,7 +40,7 @@ def path(name: str) -> Path:
 
 
 def copy(name: str, folder: str | Path) -> Path:
-    """Copy a scene with its assets and lights to a folder; return the path of its XML file.
+    """Copy a scene with its assets and lights; return the path of its XML file.
 
     The folder may contain other scenes. Identical files are kept; an existing file with other
     contents raises an ``OutputError``.

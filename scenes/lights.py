@@ -1,7 +1,7 @@
-"""Environment maps of the scenes, as lat-long images with +Y at the top and +Z in the centre.
+"""Environment maps of the scenes, as lat-long images.
 
-Linear RGB radiance on Mitsuba's grid: the first and last rows are the poles, columns are
-texel-centred. The fourth light, ``clear``, is Mitsuba's sunsky emitter and needs no image.
+Linear RGB radiance, with +Y at the top and +Z in the centre. The first and last rows are the poles,
+columns are texel-centred. A fourth light, ``clear``, is Mitsuba's sunsky emitter without an image.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def directions() -> np.ndarray:
 
 
 def box(center: tuple[float, float, float], half: tuple[float, float], soft: float) -> np.ndarray:
-    """Return the mask (H, W) of a rectangle; sizes are tangents of angles, ``soft`` of the edge."""
+    """Return the mask (H, W) of a rectangle with soft edges; sizes are tangents."""
     d = directions()
     z = np.array(center) / np.linalg.norm(center)
     x = np.cross([0.0, 1.0, 0.0], z)

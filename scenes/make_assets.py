@@ -1,6 +1,6 @@
-"""Generator of the scenes' assets: ``python -m svu_mi.scenes.make_assets [FOLDER]``.
+"""Generator of the scenes' assets: PLY meshes and half-float EXR images.
 
-The output is deterministic. Meshes are PLY files, images are half-float EXR files.
+Usage: ``python -m svu_mi.scenes.make_assets [FOLDER]``. The output is deterministic.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FOV = 36.0
 
 
 def vertex_normals(mesh: meshes.Mesh) -> np.ndarray:
-    """Return area-weighted normals, equal for vertices at the same position to hide seams."""
+    """Return area-weighted normals, shared by vertices at the same position."""
     positions, faces, _ = mesh
     a, b, c = (positions[faces[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)

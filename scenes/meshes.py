@@ -61,7 +61,7 @@ def planes() -> Mesh:
 
 
 def revolve(profile: np.ndarray, columns: int) -> np.ndarray:
-    """Revolve a profile, (rows + 1, 2) points (radius, height) from the top, around +Y."""
+    """Revolve (rows + 1, 2) profile points (radius, height) around +Y."""
     angle = np.linspace(0, 2 * np.pi, columns + 1)
     radius, height = profile[:, :1], profile[:, 1:]
     y = np.broadcast_to(height, (len(profile), columns + 1))
@@ -83,7 +83,7 @@ def spheres() -> Mesh:
 
 
 def vase() -> Mesh:
-    """Return a vase with foot, belly, neck and an open mouth, with inner and outer wall."""
+    """Return a vase with foot, belly, neck and open mouth, inside and outside."""
     # Profile from the inner bottom up the inner wall, over the lip, and down the outer wall.
     control = np.array([
         [0.00, -0.62], [0.30, -0.60], [0.44, -0.30], [0.36, 0.10], [0.20, 0.45], [0.19, 0.66],
@@ -116,7 +116,7 @@ def knot() -> Mesh:
 
 
 def _frames(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals and binormals (N, 3) of a closed curve, with minimal and even twist.
+    """Return normals and binormals (N, 3) of a closed curve, with minimal twist.
 
     Frames are transported without twist by double reflection [Wang et al., ACM TOG 27(1), 2008].
     The angle between the last and the first frame is then distributed over the curve.

@@ -22,7 +22,7 @@ def coordinates() -> tuple[np.ndarray, np.ndarray]:
 
 
 def along(coordinate: np.ndarray, charts: int = 1) -> np.ndarray:
-    """Return the position within a chart: 0 and 1 at its borders, values beyond in the gutters.
+    """Return the position within a chart: 0 to 1, and values beyond in gutters.
 
     Patterns of period 1 are continuous across the seam, and continue into the gutters.
     """
@@ -31,7 +31,7 @@ def along(coordinate: np.ndarray, charts: int = 1) -> np.ndarray:
 
 
 def noise(seed: int, waves: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return smooth noise in [0, 1] with period 1 in u and v, a sum of random plane waves."""
+    """Return smooth noise in [0, 1] with period 1, a sum of random plane waves."""
     rng = np.random.default_rng(seed)
     total = np.zeros_like(u)
     for _ in range(24):
@@ -74,7 +74,7 @@ def spheres() -> Material:
 
 
 def vase() -> Material:
-    """Return unglazed clay, blue glaze with a wavy border, painted bands, and a golden rim."""
+    """Return clay with blue glaze, painted bands and a golden rim."""
     u, v = coordinates()
     one, u = np.ones_like(u), along(u)
     clay = noise(7341, 9, u, v)
@@ -96,7 +96,7 @@ def vase() -> Material:
 
 
 def knot() -> Material:
-    """Return ribbons of brass, lacquer and rubber wound around the tube, with varying wear."""
+    """Return ribbons of brass, lacquer and rubber around the tube, with wear."""
     u, v = coordinates()
     length = (np.floor(v * KNOT_CHARTS) + along(u)) / KNOT_CHARTS
     around = along(v, KNOT_CHARTS)

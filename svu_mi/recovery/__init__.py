@@ -1,1 +1,1 @@
-"""SVBRDF recovery: textures from photographs, their uncertainty, and filling of unseen texels."""
+"""SVBRDF recovery from photographs, uncertainty, and filling of unseen texels."""

@@ -1,4 +1,4 @@
-"""Gradient descent on textures: Adam with bounds, a falling learning rate and early stopping.
+"""Gradient descent on textures: Adam with bounds and early stopping.
 
 An *objective* is a function ``objective(textures, step)`` that takes a dictionary of tensors and
 returns one differentiable Float. It must not depend on anything else: then a resumed run gives the
@@ -146,7 +146,7 @@ class _DescentRun:
         self.step, self._state, self._unread = step + 1, dict(optimizer.state), unread
 
     def read(self) -> None:
-        """Wait for the device and read the losses; raise an error for NaN or infinite values."""
+        """Wait for the device and read losses; raise an error if one is not finite."""
         first = self.step - len(self._unread)
         losses = []
         for step, (loss, broken) in enumerate(self._unread, first):

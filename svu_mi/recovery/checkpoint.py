@@ -125,7 +125,7 @@ class Checkpoint:
             ) from error
 
     def _require_same(self, stored: Mapping[str, np.ndarray]) -> None:
-        """Raise an error with the first difference if the checkpoint belongs to another run."""
+        """Raise an error that names the difference if this is another run."""
         if int(stored["format"]) != FORMAT:
             raise OptionError(
                 f"{self.path}: the checkpoint was written by another version of svu_mi; remove it "
@@ -153,7 +153,7 @@ def _canonical(settings: Mapping[str, Any]) -> str:
 
 
 def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> DescentState:
-    """Convert stored arrays to a state; raise a ValueError if their shapes do not match."""
+    """Convert stored arrays to a state; raise a ValueError for wrong shapes."""
     schema = {**HEAD, "losses": Field("f4", (int(stored["step"]),), LOWEST)}
     for name, shape in shapes.items():
         size = (int(np.prod(shape)),)

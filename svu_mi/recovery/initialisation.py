@@ -91,7 +91,7 @@ def known_parameters(estimated: Estimate) -> dict[str, float]:
 
 
 def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
-    """Recompute the posterior with samples weighted by residuals at the posterior means."""
+    """Recompute the posterior, weighting samples by residuals at its means."""
     posterior, switches = estimated.posterior, estimated.switches
     assert isinstance(posterior.kernel, CalibratedKernel) and isinstance(switches, AngularPreset)
     factors = posterior.kernel.problem.factors

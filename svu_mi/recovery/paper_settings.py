@@ -1,7 +1,7 @@
-"""Settings of the paper's recovery: reflection models, and the posterior of Eq. 11 for sharing.
+"""Settings of the paper's recovery: reflection models, and the posterior of sharing.
 
-If the source is an estimate with preset ``paper``, its options (such as the degree) are kept, and
-so are known values and priors of roughness.
+If the source is an estimate with preset ``paper``, its options (such as the degree) are kept. Known
+values and priors of roughness are always kept.
 """
 
 from __future__ import annotations

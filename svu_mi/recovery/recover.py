@@ -1,4 +1,4 @@
-"""Recovery of SVBRDF textures from photographs (Sec. 5.2 to 5.4). Start reading here.
+"""Recovery of SVBRDF textures from photographs (Sec. 5.2 to 5.4).
 
 Gradient descent with Adam minimises, over the textures psi,
 
@@ -56,7 +56,7 @@ def recover(
     path: PathOptions | None = None, checkpoint: str | Path | None = None, resume: bool = False,
     checkpoint_seconds: float = 30.0, progress: Progress | None = None,
 ) -> Recovery:  # fmt: skip
-    """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
+    """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4).
 
     Args:
         source: Capture, or its estimate. ``sh`` starts at the estimate's posterior means; other
@@ -117,7 +117,7 @@ def recover(
 
 
 def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
-    """Fit the reflection model to the photographs, starting at smoothed posterior means."""
+    """Fit the reflection model, starting at smoothed posterior means."""
     options = run.options["sh"]
     data = _sh_loss(run, options)
     if options.loss == "statistics" and options.closed_form and run.start is None:
@@ -170,7 +170,7 @@ def _minimise(
     run: RecoveryRun, title: str, start: Textures, data: Objective,
     options: ShOptions | PathOptions, checkpoint: Checkpoint | None,
 ) -> Result:  # fmt: skip
-    """Minimise L over the parameters to recover; the others keep the values of ``start``."""
+    """Minimise L over the parameters to recover; others keep the values of ``start``."""
     sharing = run.sharing_term(options)
     terms = [(options.sharing, sharing)] if sharing else []
     if options.tv:

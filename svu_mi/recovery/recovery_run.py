@@ -1,4 +1,4 @@
-"""Inputs of a recovery: estimate, neighbours, regularisers and settings, computed on demand."""
+"""Inputs of a recovery: estimate, neighbours, regularisers and settings."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class RecoveryRun:
         return Checkpoint(path, self.settings, content=content, resume=resume, every=seconds)
 
     def _sharing_record(self) -> bool | dict[str, Any]:
-        """Return the record of sharing: False, True (common prior), or settings of Eq. 14, 15."""
+        """Return the record of sharing: False, True (common prior), or its settings."""
         if isinstance(self.sharing, GlobalSharing):
             return self.sharing.record()
         used = [one for one in self.options.values() if one.sharing]
@@ -176,7 +176,7 @@ class RecoveryRun:
         return QuadraticPrior.weighted_by_information(self.posterior, self.texels)
 
     def default_start(self) -> Textures:
-        """Return initial textures: 0.5; known values; the scene's for parameters not recovered."""
+        """Return 0.5 for textures to recover, and known or scene values for others."""
         middle = uniform_textures(self.texels)
         others = [n for n in NAMES if n not in self.names and n not in self.known]
         own = scene_textures(self.capture, self.texels) if others else middle
@@ -190,7 +190,7 @@ def per_texture(rule: Callable[[Any], Any]) -> LossTerm:
 
 
 def require_resolution(texels: Texels, start: Textures | None) -> None:
-    """Raise an error for textures of one texel per side, or another resolution than ``start``."""
+    """Raise an error for less than 2 x 2 texels, or a ``start`` of another resolution."""
     if min(texels.resolution) < 2:
         width, height = texels.resolution
         raise OptionError(
@@ -203,7 +203,7 @@ def require_resolution(texels: Texels, start: Textures | None) -> None:
 def check_choices(
     method: str, sharing: GlobalSharing | bool, parameters: Sequence[str]
 ) -> tuple[str, ...]:
-    """Validate arguments of ``recover``; return the parameter names in canonical order."""
+    """Validate arguments of ``recover``; return parameter names in canonical order."""
     if method not in get_args(Method):
         raise OptionError(f"Unknown method {method!r}; use one of {', '.join(get_args(Method))}.")
     if not isinstance(sharing, bool | GlobalSharing):

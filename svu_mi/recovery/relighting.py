@@ -84,7 +84,7 @@ def _integrator(capture: Capture, max_depth: int | None) -> Any:
 
 
 def path_length(scene: Any) -> int:
-    """Return the maximum path length of a scene's integrator: 2 for ``direct``, -1 if unlimited."""
+    """Return the maximum path length of a scene's integrator (-1: unlimited)."""
     integrator = scene.integrator()
     if integrator is not None and integrator.class_name() == "DirectIntegrator":
         return 2
@@ -211,7 +211,7 @@ def relight_draws(
 def _relit(
     image: np.ndarray, inside: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int
 ) -> RelitView:
-    """Return a view with mean and standard deviation from sums of ``count`` differences."""
+    """Return a view with the moments of ``count`` draws, from sums of differences."""
     mean = total / count
     sd = np.sqrt(np.maximum(squares - count * mean**2, 0) / (count - 1))
     return RelitView(image, (image + mean).astype(np.float32), sd.astype(np.float32), inside)

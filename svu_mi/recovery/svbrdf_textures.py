@@ -66,7 +66,7 @@ class Textures(ByParameter):
 
 
 def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
-    """Create textures from per-texel values; pixels outside charts copy the nearest texel.
+    """Create textures from values of texels; gutters copy the nearest texel.
 
     Args:
         texels: T texels.

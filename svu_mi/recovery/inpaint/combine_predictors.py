@@ -1,4 +1,4 @@
-"""Predictions of unknown texels by total variation and symmetry, and their weighted mean."""
+"""Predictions of unknown texels by total variation and symmetry, and their mean."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ TITLES = (*MEAN_WEIGHTS, *(predictor.title for predictor in PREDICTORS))
 
 
 def weighted_mean(graph: TexelGraph, weights: Weights) -> np.ndarray:
-    """Return weighted means of all predictions at unknown texels, (N, T); 0 at known ones."""
+    """Return weighted mean predictions, (N, T); 0 at known texels."""
     titles = {title for each in weights.values() for title, weight in each.items() if weight > 0}
     unknown, mean = np.flatnonzero(~graph.known), np.zeros_like(graph.values)
     for title, predicted in predictions(graph, unknown, titles):

@@ -1,16 +1,16 @@
 """Cross-validation of predictors on held-out parts of the surface.
 
-Each parameter has its own weights. With e_g the RMS error of predictor g on a held-out part and e_*
-the error of the best predictor there, predictions are averaged with weights
+Each parameter has its own weights. Predictions are averaged with weights
 
     w_g ~ 1 / mean over parts of ((e_g^2 + e^2) / (e_*^2 + e^2)),
 
-where e is the least standard deviation of a prediction. The result is m for all predictors, and s
-for total-variation inpaintings alone. Texels of a part get importance weights [Shimodaira 2000], so
+where e_g is the RMS error of predictor g on a held-out part, e_* is the best predictor's, and e
+is the least standard deviation of a prediction. The result is m for all predictors, and s for
+total-variation inpaintings alone. Texels of a part get importance weights [Shimodaira 2000], so
 that their distances to known texels are distributed as for unknown texels.
 
-The filled value is s + a (m - s), with the largest share a <= 1 for which no part has a larger
-error than with s alone (up to a tolerance t):
+The filled value is s + a (m - s). The share a <= 1 is the largest for which no part has a larger
+error than with s alone, up to a tolerance t:
 
     a = min over parts of (h + sqrt(h^2 + t^2 d)) / d,    h = <s s> - <s m>,  d = <(s - m) (s - m)>,
 
@@ -36,7 +36,7 @@ DIVISIONS = 2  # divisions of the surface into FEWEST_PARTS
 
 
 def holdout_masks(graph: TexelGraph) -> list[np.ndarray]:
-    """Return masks (T,) of known texels to hold out, shaped like typical unseen regions.
+    """Return masks (T,) of known texels to hold out, similar to unseen regions.
 
     Texels of a mask have similar normals (or, on a flat object, lie on one side of its centre). Its
     size is about the number of unknown texels.
@@ -109,7 +109,7 @@ class HoldoutErrors:
 
 
 def distances_to_known(graph: TexelGraph, texels: np.ndarray) -> np.ndarray:
-    """Return distances (w,) to the nearest known texel, of a sample of many ``texels``."""
+    """Return distances (w,) of ``texels`` (or a sample) to the nearest known texel."""
     point = graph.pieces.point
     tree = scipy.spatial.cKDTree(point[graph.known])
     return np.asarray(tree.query(point[intervals.subsample(texels, MOST_DISTANCES)], workers=-1)[0])
@@ -163,7 +163,7 @@ class PredictorErrors:
         return float(min(((h + np.sqrt(h**2 + TOLERANCE**2 * d)) / d).min(), 1))
 
     def weights(self, max_share: float = 1.0) -> dict[str, float]:
-        """Return the weight of each predictor, by title, with a share of at most ``max_share``."""
+        """Return weights by title of the predictor, with a ``share`` up to ``max_share``."""
         share = min(self.share, max_share)
         weights = self.tv_weights + share * (self.all_weights - self.tv_weights)
         return dict(zip(TITLES, weights.tolist(), strict=True))

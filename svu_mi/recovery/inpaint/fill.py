@@ -1,4 +1,4 @@
-"""Filling of unseen texels by symmetry and total variation, with standard deviations.
+"""Filling of unseen texels by symmetry and total variation.
 
 A filled texel is the weighted mean of all predictors (``combine_predictors``), because none suits
 all objects. Cross-validation on seen parts of the surface gives weights per parameter, and the
@@ -111,7 +111,7 @@ def _fused(
 
 
 def variance_of(field: TextureField, known: np.ndarray) -> np.ndarray:
-    """Return the variance (N, 1) of ``known`` texels (T,), the least variance of predictions."""
+    """Return the variance (N, 1) over ``known`` texels, the least variance of predictions."""
     return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 

@@ -116,7 +116,7 @@ class Fusion:
         self.values, self.least = start.values.copy(), start.width.copy()
 
     def fuse(self, name: str, at: np.ndarray, predicted: np.ndarray, sd: np.ndarray) -> None:
-        """Fuse texels where ``at`` (T,) is True with predictions of standard deviation ``sd``."""
+        """Fuse texels of the mask ``at`` (T,) with predictions of standard deviation ``sd``."""
         rows = self.field.rows(name)
         sd = np.maximum(sd, LEAST_SD)
         precision = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], LEAST_SD) ** 2, 0)

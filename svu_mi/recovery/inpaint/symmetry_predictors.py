@@ -1,4 +1,4 @@
-"""Predictors of unknown texels by pieces, rotational and mirror symmetry, and repetition.
+"""Predictors of unknown texels by pieces, symmetry and repetition.
 
 Manufactured objects are often turned or moulded, assembled from pieces of one material each, or
 painted with bands and repeated patterns. Each ``SymmetryPredictor`` averages known texels that
@@ -87,11 +87,11 @@ class SymmetryPredictor:
     """Predictor by one kind of symmetry.
 
     Attributes:
-        kind: Texels to average: ``all``; ``piece``: the same connected piece of the surface;
-            ``near``: similar position and normal; ``level``: similar height along the axis;
-            ``turned``: similar height, radius and normal relative to the axis; ``turned piece``:
-            similar height and radius relative to the axis of the piece; ``mirrored``: similar
-            position after reflection; ``repeated``: similar position after rotation.
+        kind: Texels to average. ``all``: all known texels. ``piece``: same connected piece of the
+            surface. ``near``: similar position and normal. ``level``: similar height along the
+            axis. ``turned``: similar height, radius and normal relative to the axis. ``turned
+            piece``: similar height and radius relative to the axis of the piece. ``mirrored``:
+            similar position after reflection. ``repeated``: similar position after rotation.
         axis: Axis through the centre of the object or piece; normal of the mirror plane.
         count: Number of repetitions per turn.
     """
@@ -157,7 +157,7 @@ class SymmetryPredictor:
 def _knn_means(
     rule: KnnSettings, tree: scipy.spatial.cKDTree, known: KnownTexels, places: Iterable[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of the nearest neighbours, and a mask of queries with a match."""
+    """Return weighted means of nearest neighbours, and a mask of queries with a match."""
     count, parts = min(rule.nearest, len(known.texels)), []
     for points in places:
         distance, index = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))

@@ -1,4 +1,4 @@
-"""Texel graph for filling: positions, connected pieces, known values, and coarser levels."""
+"""Texel graph for filling: positions, pieces, known values and coarser levels."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Pieces:
 
 
 def normalized_points(points: np.ndarray) -> np.ndarray:
-    """Return points (T, 3) relative to their bounding box centre, in units of its diagonal."""
+    """Return points (T, 3) relative to their bounding box centre and diagonal."""
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
     return np.asarray((points - (low + high) / 2) / extent)
@@ -125,7 +125,7 @@ class TexelGraph:
 
     @cached_property
     def halved(self) -> tuple[TexelGraph, np.ndarray]:
-        """Graph of 2 x 2 groups, each all known or all unknown; and the group (T,) of each node."""
+        """Graph of 2 x 2 groups (all known or all unknown), and the group (T,) of each node."""
         square, own = self.square // 2, np.arange(self.count)
         alike = np.concatenate([square, self.known[:, None]], axis=1)
         columns = [np.array(column, np.int64) for column in self.smoother.around]

@@ -9,9 +9,9 @@ Monte Carlo noise can bias a loss. For a render r with expectation R and a photo
   expectation is the gradient of (R - y)^2: no bias.
 * ``l1``: E |r - y| is minimal if y is the *median* of r. The distribution of r is skewed, so
   recovered radiance is too bright, in particular with few paths. It is robust to outliers.
-* ``relative``: (r - y)^2 / (y^2 + floor): as ``l2``, with weights that depend on the photograph
-  only, because the render in the denominator would cause a bias. Noise of the photograph causes
-  another: pixels that are too dark get larger weights (5 % too dark at 16 samples per pixel).
+* ``relative``: (r - y)^2 / (y^2 + floor): ``l2`` with weights that depend on the photograph only.
+  The render in the denominator would cause a bias. Noise of the photograph still causes one: pixels
+  that are too dark get larger weights (5 % too dark at 16 samples per pixel).
 
 Gradient and loss need independent paths. Two halves A and B of the paths of a pixel can serve as
 each other's, which saves a pass:
@@ -127,9 +127,9 @@ class PathObjective:
         return radiance, photograph
 
     def _trace(self, batch: PixelBatch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
-        """Trace a batch; return the results of ``render``, and a function for the backward pass.
+        """Trace a batch; return the results of ``render``, and the backward pass.
 
-        The function takes the derivatives of a loss in the radiance of each path.
+        The latter is a function of the derivatives of a loss in the radiance of each path.
         """
         count, views = len(batch.index), self.batches.views
         sampler = mi.load_dict({"type": "independent"})
@@ -187,7 +187,7 @@ def path_objective(
     fixed: Textures | None = None,
     views: Views | None = None,
 ) -> PathObjective:
-    """Return the objective of a capture; ``fixed``: textures that the descent does not change."""
+    """Return the objective of a capture; ``fixed`` contains textures not to optimise."""
     return PathObjective(
         target=PathScene.of(capture, uniform_textures(texels) if fixed is None else fixed),
         batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),

@@ -1,4 +1,4 @@
-"""Global sharing: a regulariser between uncertain and certain texels (Sec. 5.2, Eq. 14, 15)."""
+"""Global sharing: a regulariser between uncertain and certain texels (Eq. 14, 15)."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class GlobalSharing(Regularizer):
         return self.estimate.texels
 
     def pull(self) -> np.ndarray:
-        """Return the total weight of each texel, W_p = sum over seeds of w_pq, (T,) float32."""
+        """Return the total weight of each texel, sum over seeds of w_pq, (T,) float32."""
         count = self.estimate.texels.count
         weights = np.array(self.weights, np.float64).reshape(len(self.seeds), count)
         return weights.sum(axis=0).astype(np.float32)
@@ -212,7 +212,7 @@ def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> n
 
 
 def _probabilities(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
-    """Return probabilities of chosen texels, (t, cells) float32 with channels concatenated."""
+    """Return probabilities (t, cells) of chosen texels, with channels concatenated."""
     cells = int(np.prod(posterior.grid.shape)) * posterior.channels
     return np.array(posterior.probabilities_of(chosen), np.float32).reshape(len(chosen), cells)
 

@@ -1,4 +1,4 @@
-"""Differentiable scalars with an explicit gradient, and the base class of regularisers."""
+"""Differentiable scalars with an explicit gradient; base class of regularisers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from svu_mi.geometry.texels import Texels
 
 
 def with_known_gradient(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Attach derivatives ``slopes`` in ``values`` (Floats of equal widths) to a scalar.
+    """Return a scalar with given derivatives ``slopes`` in Floats ``values``.
 
     The backward pass is one multiplication per value, without sums. Its result is bitwise
     reproducible with any number of threads.

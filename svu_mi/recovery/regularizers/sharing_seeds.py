@@ -13,7 +13,7 @@ RESOLUTION = 1e-3  # step to which entropies are rounded
 
 
 def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
-    """Return the texel numbers of at most ``count`` seeds of all materials, (S,) int64.
+    """Return texel numbers of up to ``count`` seeds of all materials, (S,) int64.
 
     Candidates are local minima of the smoothed entropy on the surface, at most at its median. The
     first seed is the candidate of least entropy. Each further one maximises 1 - H times the
@@ -43,7 +43,7 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
 def least_minima(
     entropy: np.ndarray, observed: np.ndarray, around: Neighbors, count: int
 ) -> np.ndarray:
-    """Return the seeds of the paper: the least local minima of the entropy, (S,) int64.
+    """Return the seeds of the paper: least local minima of the entropy, (S,) int64.
 
     A local minimum has no neighbour of lower entropy. Connected texels of equal entropy form a
     plateau, which counts as one minimum and is represented by its texel of lowest number.

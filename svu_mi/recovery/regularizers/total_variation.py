@@ -65,7 +65,7 @@ class TotalVariation(Regularizer):
         return self.texels
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
-        """Return value and gradient; each lane is a channel of a texel and gathers neighbours."""
+        """Return value and gradient; each lane is a channel of a texel."""
         epsilon = dr.opaque(mi.Float, self.epsilon) if self.epsilon else None
 
         def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -92,7 +92,7 @@ def absolute(difference: Any, epsilon: Any | None) -> tuple[Any, Any]:
 
 
 def _table(texels: Texels, around: Neighbors) -> tuple[np.ndarray, int]:
-    """Return flat indices of the neighbours of all pixels, (K, H W), and the number of pairs P.
+    """Return flat neighbour indices of all pixels, (K, H W), and the number of pairs P.
 
     Missing neighbours are replaced by the pixel itself: the difference is 0.
     """

@@ -1,4 +1,4 @@
-"""Mean absolute error between photographs and the SH model (Eq. 6): the paper's angular loss.
+"""Angular loss of the paper: mean absolute error of the SH model (Eq. 6).
 
 Each step convolves the light of every texel with its lobe and loops over all views (Sec. 5.1).
 Loss and derivatives are summed in one pass. One gather per texel then propagates the derivatives

@@ -1,4 +1,4 @@
-"""Losses of SH recovery: per-texel likelihood, and quadratic priors around posterior means.
+"""Losses of SH recovery: likelihood, and quadratic priors around posterior means.
 
 Both use the statistics and noise levels of the calibrated posterior (``posterior/calibrated.py``).
 Their cost is independent of the number of photographs.
@@ -33,10 +33,10 @@ SD_FLOOR = 1e-2  # added to standard deviations in quadrature: limits the weight
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Negative log-likelihood -log p(B | psi) in nats, mean over the S observed texels.
+    """Negative log-likelihood -log p(B | psi) in nats, mean over observed texels.
 
     Attributes:
-        factors: Statistics of the texels, as triangular factors.
+        factors: Statistics of the S observed texels, as triangular factors.
         place: (S,) UInt32, flat index of each texel in a texture.
         weight: (S,) Float, nats per mean squared error (squared radiance).
     """
@@ -142,7 +142,7 @@ def nats_of_squares(sds: Table) -> Table:
 
 
 def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
-    """Return posterior means and standard deviations (float64), without the common scale."""
+    """Return posterior means and standard deviations, without the common scale."""
     posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
@@ -219,7 +219,7 @@ class SmoothedStart:
         return tensors
 
     def options(self, options: DescentOptions) -> DescentOptions:
-        """Return descent options with the rate factors of parameters applied to their channels."""
+        """Return descent options with ``scales`` by channel instead of parameter."""
         scales = {_key(name, k): options.scales.get(name, 1.0) for name, k in self.keys}
         return replace(options, scales=scales)
 

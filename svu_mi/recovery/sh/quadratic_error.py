@@ -49,9 +49,9 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
 
 
 def information(factors: Factors, values: Values) -> list[list[Any]]:
-    """Return the Gauss-Newton matrix J^T J of S texels, J the Jacobian of the residuals.
+    """Return the Gauss-Newton matrix J^T J of S texels.
 
-    It approximates half the Hessian of ``energy``.
+    J is the Jacobian of the residuals. The matrix approximates half the Hessian of ``energy``.
 
     Returns:
         Symmetric matrix of Floats (S,) in squared radiance; rows and columns in the order of

@@ -1,4 +1,4 @@
-"""Losses in the SH domain: fitted coefficients (Eq. 12) compared with the model (Eq. 7 to 11).
+"""Losses in the SH domain: the fit (Eq. 12) compared with the model (Eq. 7 to 11).
 
 Photographs are read once, by the fit. The cost of a step is independent of the number of views.
 With R the directional albedo of a lobe (1 unless enabled by the preset),
@@ -8,7 +8,7 @@ With R the directional albedo of a lobe (1 unless enabled by the preset),
     S_model(l)    = the same, squared, with S_L(l) for c_L(l, m)^2          (Eq. 11)
 
 The loss is the mean absolute difference over n coefficients (l, m) or degrees l, S texels and C
-channels, in units of the capture's mean radiance or power.
+channels. Its unit is the mean radiance or power of the capture.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ ALBEDO_LEVELS = 33  # roughness nodes of the albedo, interpolated linearly
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralObjective:
-    """Mean absolute error of SH coefficients or power spectra, over the S observed texels.
+    """Mean absolute error of SH coefficients or power spectra of S observed texels.
 
     Attributes:
         domain: ``coefficients`` or ``spectrum``.
@@ -88,7 +88,7 @@ class SpectralObjective:
         return total
 
     def _differences(self, l: int, channel: int, scale: Any, offset: Any) -> Any:
-        """Return absolute differences of degree l from the model ``scale`` c_L + ``offset``."""
+        """Return absolute differences of degree l to the model ``scale`` c_L + ``offset``."""
         if self.domain == "spectrum":
             count = dr.width(self.texel)
             lane, row = dr.arange(mi.UInt32, count), 2 * (3 * l + channel)
@@ -144,7 +144,7 @@ def spectral_objective(observed: Observed, switches: Preset, domain: Domain) -> 
 
 
 def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
-    """Return power spectra of observed texels (Eq. 8), and the mean power of photographs."""
+    """Return power spectra of observed texels (Eq. 8), and the mean observed power."""
     rows = []
     for l in range(fitted.degree + 1):
         orders = range(l * l, (l + 1) ** 2)

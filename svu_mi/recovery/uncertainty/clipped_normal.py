@@ -14,7 +14,7 @@ ROOT = np.sqrt(2 * np.pi)
 
 
 def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation of clipped x, normal with mean ``place``, sd ``width``."""
+    """Return mean and sd of clipped x, for x with mean ``place`` and sd ``width``."""
     mean, sd = np.empty(place.size), np.zeros(place.size)
     places, widths = place.ravel(), width.ravel()
     for part in _chunks(place.size):
@@ -24,7 +24,7 @@ def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of x, at most ``WIDEST``, for which clipped x has ``sd``."""
+    """Return the sd of x (at most ``WIDEST``) for which clipped x has ``sd``."""
     width, places = np.array(sd, np.float64).ravel(), place.ravel()
     for part in _chunks(place.size):
         mean, wanted = places[part], width[part]

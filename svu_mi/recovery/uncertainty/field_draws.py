@@ -25,7 +25,7 @@ CHUNK = 2**16  # texels per chunk of matrix inversion
 
 
 def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[Any]:
-    """Draw random fields of mean 0 and variance 1, Floats (T,) at T positions in units of l."""
+    """Draw fields of mean 0 and variance 1: Floats (T,) at positions in units of l."""
     frequencies = random.standard_normal((3, number * WAVES)).astype(np.float32)
     phases = random.uniform(0, 2 * np.pi, number * WAVES).astype(np.float32)
     w, shift, fields = to_drjit(mi.Vector3f, frequencies), to_drjit(mi.Float, phases), []
@@ -46,7 +46,7 @@ def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[
 def correlation_roots(
     posterior: Posterior[CalibratedKernel], values: dict[str, np.ndarray]
 ) -> np.ndarray:
-    """Return Cholesky factors of each texel's posterior correlations, (T, N, N) float32.
+    """Return Cholesky factors (T, N, N) of each texel's posterior correlations.
 
     The posterior is approximated by a normal distribution around ``values`` (Laplace).
     """

@@ -1,7 +1,7 @@
-"""Solver of sparse linear systems (D + K) x = y on the surface: D diagonal, K between neighbours.
+"""Solver of sparse linear systems (D + K) x = y between neighbours on the surface.
 
-K is the Laplacian of total variation, made quadratic around textures x0 (lagged diffusivity [Vogel
-and Oman 1996]). Each pair of neighbours has a link of weight
+D is diagonal. K is the Laplacian of total variation made quadratic around textures x0 (lagged
+diffusivity [Vogel and Oman 1996]). Each pair of neighbours has a link of weight
 
     w_ij = lambda / sqrt((x0_i - x0_j)^2 + epsilon^2),
 
@@ -119,7 +119,7 @@ class Smoother:
         return self._table(self.diagonal - self.own)
 
     def solve(self, right: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
-        """Solve (D + K) x = right by conjugate gradients [Hestenes and Stiefel 1952]: (N, T)."""
+        """Solve (D + K) x = right, (N, T), by conjugate gradients [Hestenes and Stiefel 1952]."""
         wanted = _vector(right)
         x = wanted / self.diagonal if start is None else _vector(start)
         goal = TOLERANCE**2 * dr.sum(dr.square(wanted) / self.diagonal)

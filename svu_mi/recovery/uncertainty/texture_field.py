@@ -1,4 +1,4 @@
-"""Gaussian Markov random field around recovered textures: standard deviations and draws.
+"""Gaussian Markov random field around recovered textures.
 
 Recovered textures x0 maximise the posterior under total variation. With total variation made
 quadratic around x0 (``gmrf``), a parameter is a Gaussian Markov random field [Rue and Held 2005]
@@ -104,7 +104,7 @@ class TextureField:
     min_width: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
-        """Return means, (T, C) or (T,). Clipping shifts them from the texture near 0 and 1."""
+        """Return means, (T, C) or (T,); clipping shifts them near 0 and 1."""
         rows = self.rows(name)
         return self._laid_out(name, clipped_normal.moments(self.values[rows], self.width[rows])[0])
 
@@ -113,7 +113,7 @@ class TextureField:
         return self._laid_out(name, self.sds[self.rows(name)])
 
     def interval(self, name: str, level: float = INTERVAL_MASS) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of the central interval of probability ``level``, (T, C) or (T,) each.
+        """Return bounds of the central interval of probability ``level``, (T, C) or (T,).
 
         Raises:
             OptionError: The parameter is unknown, or ``level`` is not in (0, 1).
@@ -217,7 +217,7 @@ class TextureField:
 
     @property
     def _variance(self) -> np.ndarray:
-        """Diagonal of (D + K)^-1 on a lattice of constant D and links [Economou 2006], (N, T)."""
+        """Diagonal of (D + K)^-1, (N, T), as for constant D and links [Economou 2006]."""
         links, whole = self.smoother.links, self.smoother.precision
         whole += links
         rows = zip(links, whole, strict=True)
@@ -290,7 +290,7 @@ def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
 
 
 def field_of_textures(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
-    """Return the field around textures; None if the estimate is not RGB, or of other texels."""
+    """Return the field around textures; None if the estimate does not match."""
     if not supports_texture_field(estimate) or textures.resolution != estimate.texels.resolution:
         return None
     return field_around(textures, estimate, neighbors(estimate.texels, mesh))
@@ -333,7 +333,7 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
 def _texel_moments(
     posterior: Posterior[CalibratedKernel], x0: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return posterior means and standard deviations, (N, T) each; x0 and prior if unseen."""
+    """Return posterior means and sds, (N, T) each; x0 and the prior's if unseen."""
     means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
     seen = posterior.observed
     deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SMALLEST_SD)

@@ -105,7 +105,7 @@ class ConditioningViews:
     def to_texels(
         self, sensor: Any, maps: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return values (C, T) sampled from maps of a view, and a mask of well visible texels."""
+        """Sample maps of a view at texels: values (C, T), and a mask of well visible ones."""
         surface, views = TexelLanes.of(self.field.texels), self._packed(sensor)
         seen = _well_seen(views, surface, 0)
         values = {}

@@ -89,7 +89,7 @@ def fill_by_diffusion(
 
 @dataclass(frozen=True)
 class _MultiViewInference:
-    """Sequential inference over views; attributes are arguments of ``fill_by_diffusion``."""
+    """Sequential inference over views, with the arguments of ``fill_by_diffusion``."""
 
     capture: Capture
     field: TextureField

@@ -1,11 +1,10 @@
-"""Latent diffusion model of materials, blended with certain pixels (Sec. 5.3 of the paper).
+"""Latent diffusion model of materials that preserves certain pixels (Sec. 5.3 of the paper).
 
 PyTorch is imported on first use.
 
 A latent z starts as noise e and is denoised at times t_1 > t_2 > ... of a schedule. Certain latents
-(mask M, latent x of the known map) are restored after each step, at the noise level of the next
-time [Avrahami et al. 2023, Blended Latent Diffusion]. The last ``free`` steps omit this to avoid
-seams:
+(mask M, latent x of the known map) are restored after each step, with the noise of the next time:
+Blended Latent Diffusion [Avrahami et al. 2023]. The last ``free`` steps omit this to avoid seams.
 
     z_i = step(z_{i-1}, model(z_{i-1}, t_i), t_i)                      every step
     z_i = M n(x, t_{i+1}) + (1 - M) z_i,   n(x, t) = a_t x + s_t e     except for the last ones
@@ -31,11 +30,11 @@ def blend(
     predict: Callable[[Any, Any], Any], schedule: Any, known: Any, certain: Any, noise: Any,
     free: int,
 ) -> Any:  # fmt: skip
-    """Denoise a latent, restoring ``known`` where ``certain`` except in the last ``free`` steps.
+    """Denoise a latent; restore ``known`` where ``certain``, except in the last steps.
 
     Works with arrays of any library. ``schedule`` needs ``times`` (descending),
     ``step(latent, predicted, time)`` (the latent at the next time) and
-    ``noised(clean, noise, time)`` (n(x, t)).
+    ``noised(clean, noise, time)`` (n(x, t)). ``free`` is the number of last steps.
     """
     latent, times = noise, list(schedule.times)
     for number, time in enumerate(times, 1):

@@ -19,7 +19,7 @@ BROKEN = (OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError
 
 
 def require_model(folder: str | Path) -> Family:
-    """Validate a folder of weights without reading them; raise the errors of ``load_model``."""
+    """Validate a folder of weights without reading them (errors as ``load_model``)."""
     family = family_of(folder)
     for part in FOLDERS:
         if not any((Path(folder) / part).glob("*.safetensors")):
@@ -77,7 +77,7 @@ def _load_parts(folder: Path, family: Family, device: str) -> dict[str, Any]:
 
 
 def _require_channels(model: LatentDiffusion) -> None:
-    """Raise a ValueError for weights with other outputs, such as Marigold's light decomposition."""
+    """Raise a ValueError for weights with other outputs, such as Marigold's lighting."""
     latents = model.vae.config.latent_channels
     for run in model.family.runs:
         wanted = (len(run.maps) + 1) * latents, len(run.maps) * latents

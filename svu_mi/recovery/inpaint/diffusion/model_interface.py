@@ -59,7 +59,7 @@ class MaterialModel(Protocol):
     def predict(
         self, picture: ModelInput, steps: int, free: int, seed: int, after_step: Callable[[], None]
     ) -> Mapping[str, np.ndarray]:
-        """Return completed maps with the shapes of ``ModelInput.maps``, linear, by parameter."""
+        """Return completed linear maps, by parameter (shapes as ``ModelInput.maps``)."""
 
 
 INDEX = "model_index.json"
