@@ -18,7 +18,7 @@ import numpy as np
 from svu_mi.bench import BENCHMARKS
 from svu_mi.bench.accuracy.accuracy_tables import OTHER_NOISE
 from svu_mi.bench.guidance.guidance_tables import compare, mean_curve, views_needed, views_ratio
-from svu_mi.bench.markdown import BAR_COLUMNS, save, seconds, table
+from svu_mi.bench.markdown import BAR_COLUMNS, seconds, table
 from svu_mi.bench.orb.orb_tables import PUBLISHED
 from svu_mi.bench.orb.orb_targets import FIGURES
 from svu_mi.bench.paper.figure9 import ADDED, FARTHEST, OURS, PAPER, increases
@@ -31,15 +31,20 @@ from svu_mi.bench.recovery.methods import (
     SH_PAPER,
     SH_PAPER_PATH,
     SH_PAPER_SHARING,
+    SH_PATH,
+    SH_SHARING,
     SPECTRUM,
 )
 from svu_mi.bench.study import figures, provenance, read_record, study_of
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "notebooks" / "benchmarks"
+# Estimators whose results are on the pages of the studies only, and simple maps.
+LESS = ("spectrum paper, relative noise",)
+SIMPLE = ("brightness", "number of views")
 Record = dict[str, Any]
 Row = Sequence[str]
-DPI = 72  # of plots
+DPI = 80  # resolution of plots
 DIGITS, FEW = 6, 3  # significant digits of copied numbers, and of numbers in long lists
 LONG, THINNED = 20, 4  # entries of a long list; step between the kept points of scatter plots
 DERIVED = ("bars", "summary")  # entries that ``read_record`` computes again
@@ -84,14 +89,13 @@ def agreement(record: Record) -> list[Row]:
                 **dict.fromkeys(OTHER_NOISE, "other noise")}  # fmt: skip
     rows = []
     for row in record["summary"]:
-        if row["kind"] == "reference":
-            continue
-        part = "rows" if row["kind"] == "estimator" else "sanity"
-        values = both(case[part][row["label"]]["pearson"] for case in cases)
-        name = f"`{row['label']}`" if part == "rows" else f"{row['label']} alone"
-        time = f"; {seconds(row['seconds'])}" if part == "rows" else ""
-        rows.append([name, values + time, compared.get(row["label"], "")])
-    return [*rows, ["halves of the reference's samples", both(halves), "upper limit"]]
+        if row["kind"] == "estimator" and row["label"] not in LESS:
+            values = both(case["rows"][row["label"]]["pearson"] for case in cases)
+            rows.append([f"`{row['label']}`", f"{values}; {seconds(row['seconds'])}",
+                         compared.get(row["label"], "")])  # fmt: skip
+    simple = [both(case["sanity"][name]["pearson"] for case in cases) for name in SIMPLE]
+    return [*rows, [f"{' / '.join(SIMPLE)} alone", " / ".join(simple), ""],
+            ["halves of the reference's samples", both(halves), "upper limit"]]  # fmt: skip
 
 
 def sets(record: Record) -> list[Row]:
@@ -118,7 +122,8 @@ def sets(record: Record) -> list[Row]:
 
 
 def textures(record: Record) -> list[Row]:
-    found = {way.label: rows for way in ROWS if (rows := rows_of(record, way.label))}
+    ways = (SH, SH_SHARING, SH_PATH, PATH, SH_PAPER)
+    found = {way.label: rows for way in ways if (rows := rows_of(record, way.label))}
     limit = mean(case["truth_relit"]["psnr_ldr"] for case in record["cells"])
     return [
         *([f"`{label}`: PSNR of textures / relit pictures; time",
@@ -174,7 +179,7 @@ def views(record: Record) -> list[Row]:
         ["expected and measured change of the entropy, Pearson, the same",
          " / ".join(both(run["agreement"]["correlation"] for run in some) for some in own),
          ">= .8"],
-        [f"mean gain of PSNR over {' / '.join(pair['other'] for pair in pairs)}",
+        [f"mean gain of PSNR, entropy over {' / '.join(pair['other'] for pair in pairs)}",
          " / ".join(f"{pair['difference']:+.2f}" for pair in pairs) + " dB",
          f"p = {' / '.join(format(pair['p'], '.2g') for pair in pairs)}"],
         [f"gain with {sizes.marks[-1]} more views (dB)", gains, ""],
@@ -184,12 +189,12 @@ def views(record: Record) -> list[Row]:
 def printed(record: Record) -> list[Row]:
     parts = {name: {"cells": [case for case in record["cells"] if case["part"] == name]}
              for name in ("table3", "table2", "figure9")}  # fmt: skip
-    rows: list[Row] = [
-        [f"Table 3, entropy against path tracing: `{label}`",
-         both(row["rho"] for row in rows_of(parts["table3"], label)), anchor]
-        for label, anchor in (("SH model (paper)", ".94"), ("spectrum (paper)", ".88"),
-                              ("fixed", ""))
-    ]  # fmt: skip
+    labels = (SH_PAPER.label.replace("SH", "SH model"), SPECTRUM.label, "fixed")
+    rows: list[Row] = [[
+        f"Table 3, entropy against path tracing: `{'` / `'.join(labels)}`",
+        " / ".join(both(row["rho"] for row in rows_of(parts["table3"], one)) for one in labels),
+        ".94 / .88",
+    ]]  # fmt: skip
     found = {way.label: rows_of(parts["table2"], way.label) for way in ROWS}
     psnr = {label: mean(row["psnr"]["average"] for row in few) for label, few in found.items()}
     sh, path = SH_PAPER.label, PATH_PAPER.label
@@ -234,7 +239,8 @@ def times(record: Record) -> list[Row]:
     return [
         *([f"`{label}`, compiled / with compilation", f"{seconds(part['warm_seconds'])} / "
            f"{seconds(part['cold']['seconds'])}", ""]
-          for label, part in parts["estimators"].items() if label.startswith("angular")),
+          for label, part in parts["estimators"].items() if label.startswith("angular")
+          and label not in LESS),
         *bars(record, {
             "files to entropy.exr, `default`: compiled / new process with compilation":
                 [f"files to entropy.exr, angular: {end}" for end in ("compiled", "new process")],
@@ -249,21 +255,23 @@ def growth(record: Record) -> list[Row]:
     rows = []
     for curve in record["cells"][0]["rows"].values():
         line, points, memory = curve["line"], curve["points"], ""
+        time = f"{1e3 * line['b']:.3g} ms"
         if curve["what"] == "texels":
             n, mib = [p["n"] for p in points], [p["allocated_mib"] for p in points]
             memory = f"; {2**20 * np.polyfit(n, mib, 1)[0]:.0f} bytes"
+            time = f"{1e6 * line['b']:.3g} us"
         rows.append([f"{curve['method']}, per {curve['what'][:-1]}: time; exponent; R^2"
-                     f"{'; memory' if memory else ''}", f"{1e6 * line['b']:.3g} us; "
-                     f"{line['slope']:.2f}; {line['r2']:.3f}{memory}", "<= 1.1; >= .95"])  # fmt: skip
+                     f"{'; memory' if memory else ''}", f"{time}; {line['slope']:.2f}; "
+                     f"{line['r2']:.3f}{memory}", "<= 1.1; >= .95"])  # fmt: skip
     return rows
 
 
 def peaks(record: Record) -> list[Row]:
-    return [
-        [f"{method}, peak memory from files to entropy.exr", f"{part['cold']['peak_mib']:.0f} MiB",
-         f"formula: {part['cold']['formula_mib']:.0f} MiB"]
-        for method, part in record["cells"][0]["rows"]["whole_way"].items()
-    ]  # fmt: skip
+    ways = record["cells"][0]["rows"]["whole_way"]
+    peak, formula = (" / ".join(f"{way['cold'][key]:.0f}" for way in ways.values()) + " MiB"
+                     for key in ("peak_mib", "formula_mib"))  # fmt: skip
+    return [[f"peak memory from files to entropy.exr: {' / '.join(ways)}", peak,
+             f"formula: {formula}"]]  # fmt: skip
 
 
 def predicted(record: Record) -> list[Row]:
@@ -542,8 +550,7 @@ def main(source: Path | None = None) -> None:
         old.unlink()
     records = read_all()
     for file, figure in figures(records):
-        figure.set_dpi(DPI)
-        save(figure, FOLDER, file)
+        figure.savefig(FOLDER / f"{file}.png", dpi=DPI)
     for path, text in texts(records).items():
         path.write_text(text, encoding="utf-8")
 

@@ -13,7 +13,7 @@ mean of t rises to 1/2. Exception: if the residual exceeds s_0, t = 1 for any nu
 s_0 itself: if the median residual exceeds the assumed value).
 
 Errors of neighbouring views are correlated: N samples count as N / tau (overdispersion tau). The
-constants were chosen on the example scenes (BENCHMARKS.md).
+constants were chosen on the example scenes (notebooks/design/calibration.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Plan of an estimate: channels, roughness levels and parameters that need no computation.
 
 Degrees above the band limit of the light are not skipped, because samples on a part of the sphere
-leak power into them (BENCHMARKS.md).
+leak power into them (notebooks/design/reflection.md).
 """
 
 from __future__ import annotations
