@@ -1,4 +1,4 @@
-"""Mistakes about axes are found, named, and never invented."""
+"""Checks of captures: axis mistakes are detected and named, without false positives."""
 
 from __future__ import annotations
 
@@ -60,18 +60,18 @@ SEED = 40913
 
 @pytest.fixture(autouse=True)
 def few_points(monkeypatch):
-    """A quarter of the points is enough for photographs this small."""
+    """A quarter of the points is sufficient for small photographs."""
     monkeypatch.setattr(
         "svu_mi.calibration.checks.check.scatter_points", partial(scatter_points, count=POINTS)
     )
 
 
 def quiet(done, total):
-    """No progress."""
+    """Ignore progress."""
 
 
 def cluster():
-    """Balls of four sizes that look different from every side, in a mirror too."""
+    """Return balls of four sizes without rotation or mirror symmetry."""
     theta = np.linspace(0, np.pi, 13)
     profile = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
     parts = []
@@ -85,7 +85,7 @@ def cluster():
 
 
 def photographed(shape, light, bsdf, count=VIEWS, film=FILM):
-    """A capture of a live mesh, with masks."""
+    """Return a capture of a mesh in memory, with masks."""
     shape.set_bsdf(mi.load_dict(bsdf))
     scene = mi.load_dict(
         {"type": "scene", "integrator": {"type": "direct"}, "light": light, shape.id(): shape},
@@ -104,7 +104,7 @@ def sky(picture):
 
 @pytest.fixture(scope="module")
 def capture():
-    """Everything right: textured, a little glossy, without symmetry, wider than high."""
+    """Correct capture: textured, slightly glossy, asymmetric, wider than high."""
     colors = np.random.default_rng(SEED).random((16, 16, 3)) ** 2 * 0.9 + 0.05
     texture = {"type": "bitmap", "bitmap": mi.Bitmap(colors.astype(np.float32)), "raw": True}
     bsdf = {"type": "principled", "base_color": texture, "roughness": 0.35}
@@ -113,7 +113,7 @@ def capture():
 
 @pytest.fixture(scope="module")
 def grey_ball():
-    """A ball of one colour: nothing is more symmetric."""
+    """Ball of one colour, the most symmetric object."""
     shape = capture_mesh.make_mesh("ball", ball(24, 12))
     bsdf = {"type": "principled", "base_color": {"type": "rgb", "value": 0.4}, "roughness": 0.4}
     return photographed(shape, sky(lights.studio()), bsdf, count=8)
@@ -121,7 +121,7 @@ def grey_ball():
 
 @pytest.fixture(scope="module")
 def knot(tmp_path_factory):
-    """A capture in a folder, with masks."""
+    """Write a capture folder with masks."""
     return svu.render_capture(
         scenes.path("knot"), 8, folder=tmp_path_factory.mktemp("knot") / "capture", views=10,
         resolution=FILM, defines={"max_depth": "2"},
@@ -130,7 +130,7 @@ def knot(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def lit(capture):
-    """What light is judged by; it does not depend on how the light lies."""
+    """Return samples for the light checks, which are independent of its orientation."""
     return seen_by(capture)
 
 
@@ -154,7 +154,7 @@ INVERSE = "camera-inverse"
 POSES = [case for case in CASES if case.group in ("camera", "mesh")]
 POSES += [Case((INVERSE,), OPENGL), Case((INVERSE,), OPENCV)]
 UNMASKED = [Case((name,)) for name in (INVERSE, "mesh-mirror")]
-# Every other one: all 48 ways are tried alike, and the benchmark takes each.
+# Every other orientation; the benchmark tests all 48.
 LIGHTS = [case for case in CASES if case.group == "light"][::2]
 LIGHTS += [Case(("light-mirror", "light-flip", "light-turn-90"))]
 
@@ -174,7 +174,7 @@ def test_wrong_poses_are_named(capture, case):
 
 @pytest.mark.parametrize("case", UNMASKED, ids=names)
 def test_wrong_poses_are_named_without_masks(capture, case):
-    """The light itself is behind the object."""
+    """The background shows the light."""
     finding, _ = pose_finding(case.made(without_masks(capture)))
     assert (finding.verdict, finding.fixes) == ("wrong", case.fixes), finding.sentence
 
@@ -215,17 +215,17 @@ def test_a_wrong_mesh_leaves_the_light_with_the_cameras(capture):
 @pytest.mark.parametrize("fix", ["mesh-mirror", "mesh-x90", "mesh-x180"])
 def test_of_a_ball_nothing_is_said_that_cannot_be_known(grey_ball, fix):
     finding, _ = pose_finding(spoil(grey_ball, FIXES[fix]))
-    assert finding.verdict == "fits"  # a ball that is turned is the same ball
+    assert finding.verdict == "fits"  # rotations do not change a ball
     assert (fix,) in finding.alternatives and "would fit as well" in finding.sentence
 
 
-def test_a_camera_that_looks_away_from_a_ball_is_never_corrected_wrongly(grey_ball):
+def test_camera_facing_away_is_not_corrected_wrongly(grey_ball):
     finding, _ = pose_finding(spoil(grey_ball, FIXES["camera-x180"]))
     assert finding.fixes == ("camera-x180",) or ("camera-x180",) in finding.alternatives
 
 
 def test_photographs_of_something_else_are_explained_by_nothing(capture):
-    """Every photograph beside the pose of another, and a mesh of a tenth of the size."""
+    """Permuted poses, and a mesh of a tenth of the size."""
     shuffled = replace(
         capture,
         images=capture.images[5:] + capture.images[:5],
@@ -238,7 +238,7 @@ def test_photographs_of_something_else_are_explained_by_nothing(capture):
 
 
 def test_light_without_a_direction_cannot_be_told(capture):
-    """A gradient tells up from down, but not east from west."""
+    """A vertical gradient determines elevation, but not azimuth."""
     overcast = photographed(cluster(), sky(lights.overcast()), {"type": "diffuse"}, count=8)
     sideways = spoil(overcast, FIXES["light-turn-90"])
     finding = light_finding(sideways, seen_by(overcast))
@@ -253,8 +253,8 @@ def even_map():
 
 
 @pytest.mark.parametrize("light", [lambda: CONSTANT, even_map], ids=["constant", "map"])
-def test_an_even_light_in_place_of_that_of_the_photographs_is_doubted(capture, light):
-    """It said "fits", and base colours were wrong by twice as much."""
+def test_wrong_constant_light_is_unclear(capture, light):
+    """Regression: the verdict was "fits", with wrong base colours."""
     lit = {"type": "scene", "light": light(), "shape": capture.shape}
     placeholder = replace(capture, scene=mi.load_dict(lit, optimize=False))
     finding = find_axis_mistakes(placeholder)[0][1]
@@ -287,7 +287,7 @@ def test_an_even_light_that_is_right_is_left_alone(paint):
 
 @pytest.mark.parametrize(("part", "verdict"), [(0.9, "fits"), (1.1, "wrong")])
 def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
-    """Two cues speak for it; all other ways are worse by far."""
+    """Two cues support it; all other orientations are much worse."""
     hypotheses = light_hypotheses()
     current = next(one for one in hypotheses if not one.fixes)
     best = next(one for one in hypotheses if one.names == ("light-mirror",))
@@ -295,7 +295,7 @@ def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
     now = next(one for one in scores if one.hypothesis is current)
     scores = [replace(one, shading=0.1) for one in scores if one is not now] + [now]
     plain = LightScore(best, 0.52, 0.52, 0.0)
-    rest = now.total + part * LIGHT_IMPROVEMENT - plain.total  # that highlights explain
+    rest = now.total + part * LIGHT_IMPROVEMENT - plain.total  # explained by highlights
     scores.append(replace(plain, highlights=1 - np.exp(-rest)))
     finding = decide_light(sorted(scores, key=lambda one: -one.total))
     assert finding.verdict == verdict, finding.sentence
@@ -303,7 +303,7 @@ def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
 
 @pytest.mark.slow
 def test_of_one_plane_the_light_is_not_told():
-    """Highlights alone would speak for a turn of the map; they are not believed."""
+    """Highlights alone, which support a rotated map, are not sufficient."""
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     mesh = capture_mesh.MeshArrays(points, faces, None, points[:, :2])
@@ -319,7 +319,7 @@ def test_of_one_plane_the_light_is_not_told():
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("value", [0.0, np.nan])
 def test_photographs_that_show_nothing_say_nothing(capture, value):
-    """All black, or all saturated: silhouettes alone are judged, and no number is NaN."""
+    """Black or saturated photographs: only silhouettes are scored, without NaN."""
     few = slice(0, 4)
     blank = replace(
         capture, sensors=capture.sensors[few], masks=capture.masks[few], used=(True,) * 4,
@@ -361,14 +361,14 @@ def test_a_fix_undoes_its_mistake_and_changes_nothing_else(capture, name):
         "mesh": np.allclose(mesh.positions, before[1].positions),
         "texture": np.allclose(mesh.uvs, before[1].uvs),
         "light": np.allclose(light.to_local, old.to_local),
-        # A mirrored mesh is wound the other way, too, to keep its front.
+        # A mirrored mesh also has reversed winding, which keeps its front.
         "winding": name == "mesh-mirror" or np.array_equal(mesh.faces, before[1].faces),
     }
     assert [kind for kind, same in kept.items() if not same] == [FIXES[name].kind]
 
 
 def test_turned_cameras_see_what_a_turned_mesh_shows(capture):
-    """Hypotheses about the mesh move the cameras instead; a rendered mask says the same."""
+    """Mesh hypotheses are tested by moving cameras; a rendered mask must agree."""
     frames = Thumbnails.of(reduce_photographs(capture, max(FILM)))
     for fix in (FIXES["mesh-x90"], FIXES["mesh-mirror"], FIXES["camera-z180"]):
         hypothesis = next(h for h in pose_hypotheses() if h.fixes == (fix,))
@@ -385,7 +385,7 @@ def test_every_way_to_lay_axes_is_tried_once():
     turns = [fix_rotation(one.fixes, "light") for one in result]
     assert len({turn.round().astype(int).tobytes() for turn in turns}) == len(result) == 48
     assert [len(one.fixes) for one in result] == sorted(len(one.fixes) for one in result)
-    for right in ENVIRONMENT_AXES.values():  # any convention that was read as any other
+    for right in ENVIRONMENT_AXES.values():  # all pairs of conventions
         for wrong in ENVIRONMENT_AXES.values():
             assert any(np.allclose(wrong @ turn, right) for turn in turns)
     assert not pose_hypotheses()[0].fixes and len(pose_hypotheses()) == 80
@@ -415,7 +415,7 @@ def test_the_command_says_what_is_wrong_and_how_to_mend_it(knot, tmp_path, capsy
         shown = browser.open(out / "check.html", width)
         assert shown.requests == [] and shown.overflow == 0
         assert "--fix camera-x180" in shown.evaluate("document.body.innerText")
-        # A thumbnail per view, and the light before and after.
+        # One thumbnail per view, and the light before and after.
         widths = shown.evaluate("[...document.images].map(i => i.naturalWidth)")
         assert len(widths) == 10 + 2 and min(widths) > 0
         shown.close()
@@ -427,7 +427,7 @@ def without_light(capture):
 
 
 def test_poses_and_texture_are_checked_without_a_light(capture):
-    """Silhouettes, agreement of views and the texture tell; of light and gains nothing is said."""
+    """Silhouettes, views and texture are tested; light and gains are unknown."""
     dark = without_light(capture)
     assert dark.environment is None
     result = svu.check(dark)
@@ -442,7 +442,7 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
 
 @pytest.mark.slow
 def test_a_mesh_that_shows_its_back_is_turned(capture):
-    """Before, light and texture were judged by the few points that happened to be seen."""
+    """Regression: light and texture were tested with the few seen points."""
     wrong = spoil(capture, FIXES["mesh-inside-out"])
     result = svu.check(wrong)
     assert result.fixes == ("mesh-inside-out",)
@@ -458,7 +458,7 @@ def test_a_mesh_that_shows_its_back_is_turned(capture):
 
 
 def test_cameras_within_a_mesh_do_not_show_its_back(capture):
-    """Of a mesh that is ten times too large they see the inside; that is not a wrong winding."""
+    """Cameras inside a mesh ten times too large do not indicate wrong winding."""
     large = apply_fixes(capture, [replace(FIXES["mesh-x180"], matrix=np.eye(3) * 10.0)])
     findings, _ = find_axis_mistakes(large)
     assert findings[0].verdict == "unclear" and not findings[0].fixes
@@ -467,9 +467,9 @@ def test_cameras_within_a_mesh_do_not_show_its_back(capture):
 
 @pytest.mark.slow
 def test_what_is_ignored_has_the_last_word(capture):
-    """Axes and gains fit, and yet base colours near a bright table will be wrong.
+    """Axes and gains fit, but base colours near a bright table will be wrong.
 
-    It is no mistake to have one: --strict lets it pass.
+    This is only a note: --strict passes.
     """
     below = mi.ScalarTransform4f().translate([0, 0, -8]).scale(4)
     table = mi.load_dict(
@@ -502,7 +502,7 @@ def test_what_an_import_has_left_out_is_said_again(capture, tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
 def test_the_whole_corrected_command_can_be_pasted(knot, tmp_path, capsys, monkeypatch):
-    """Import wrongly, check, paste what is printed, check again."""
+    """Import wrongly, check, run the printed command, and check again."""
     wrong = Case(("camera-x180",)).made(knot)
     written = write(wrong, "colmap", tmp_path / "my project")
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""How light is found: what it makes of samples, what is likely, and what a step of it knows."""
+"""Estimate of light: transport, prior, Gauss-Newton step, uncertainty, background."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SHINY = {"type": "principled", "roughness": 0.25, "metallic": 1.0,
 
 
 def of_oracle(samples: TexelSamples, materials: Materials, number: int) -> np.ndarray:
-    """(S, N, 3) gains of every sample."""
+    """Return the (S, N, 3) transport of each sample."""
     cells, normals = fibonacci(number), samples.surface.normal.numpy().T
     return np.stack([
         gains(cells, normals[t], direction, materials.roughness[t], *materials.mixed[t],
@@ -109,7 +109,7 @@ def test_constant_light_reflects_as_the_directional_albedo_says(roughness):
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_a_cell_right_behind_the_texel_is_hidden(moves):
-    """It has no half vector with the direction to the camera, which is opposite."""
+    """Opposite directions have no half vector."""
     behind = fibonacci(64)[:9].astype(np.float32).astype(np.float64)
     samples = free_samples(-behind, np.repeat(-behind[:, None], 2, axis=1))
     transport = Transport.of(samples, 64, moves)
@@ -122,13 +122,13 @@ def test_a_cell_right_behind_the_texel_is_hidden(moves):
 
 
 def test_a_narrow_lobe_gathers_its_light_wherever_it_points():
-    """No cell is missed, however much wider than the lobe it is."""
+    """Cells wider than the lobe are not missed."""
     turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     directions = np.stack([0.5 * np.cos(turn), 0.5 * np.sin(turn), 0 * turn + 0.75**0.5], axis=1)
     transport = Transport.of(free_samples(np.array([[0, 0, 1.0]]), directions[None]), 256)
     columns = transport.columns(np.ones((256, 3)), np.array([0.0]))
     whole = (columns.p + columns.q)[:, 0, 0]
-    assert whole.min() > 0.8 and whole.max() < 1.3  # a lobe points at a cell, or between them
+    assert whole.min() > 0.8 and whole.max() < 1.3  # lobes at a cell, and between cells
     assert abs(whole.mean() - 1) < 0.06
 
 
@@ -145,7 +145,7 @@ def test_the_prior_is_a_distribution():
         prior.pull(x).T.ravel(), prior.precision() @ x.T.ravel(), atol=1e-9 * np.abs(x).max() * 100
     )
     covariance = np.linalg.inv(prior.brightness)
-    assert covariance[0, 0] == pytest.approx(3.0**2 + SD**2)  # its level is not known
+    assert covariance[0, 0] == pytest.approx(3.0**2 + SD**2)  # its level is undetermined
 
 
 # --- a step of the light ----------------------------------------------------------------------
@@ -162,7 +162,7 @@ def fit_of(samples: TexelSamples, x: np.ndarray) -> LightFit:
 
 
 class Joint:
-    """Light and materials together, in double precision: nothing is eliminated."""
+    """Normal equations of light and materials in double precision, without elimination."""
 
     def __init__(self, samples, x, materials, w):
         self.samples, self.x, self.materials, self.w = samples, x, materials, w
@@ -171,7 +171,7 @@ class Joint:
         self.freedom = np.tile(1 / np.square([*MATERIAL_SD, *[COLOR_SD] * 3]), self.texels)
 
     def moved(self, k: int, by: np.ndarray) -> Materials:
-        """Materials whose parameter k, of five, is another."""
+        """Return materials with a different parameter k of five."""
         table = np.column_stack(self.materials)
         table[:, k] += by
         return Materials(table[:, 0], table[:, 1:2], table[:, 2:])
@@ -181,7 +181,7 @@ class Joint:
         return np.einsum("snc,nc->sc", estimate, np.exp(x))
 
     def jacobian(self) -> np.ndarray:
-        """(S, 3, 3 N + 5 n)."""
+        """Return the Jacobian, (S, 3, 3 N + 5 n)."""
         samples, N = self.samples, self.number
         J = np.zeros((samples.count, 3, 3 * N + 5 * self.texels))
         K = of_oracle(samples, self.materials, N) * np.exp(self.x)
@@ -189,7 +189,7 @@ class Joint:
             J[:, c, c * N : (c + 1) * N] = K[:, :, c]
         r = self.materials.roughness
         for k in range(5):
-            # Roughness as the solver has it: between two that are possible.
+            # Roughness of the solver, between two grid values.
             step = np.full(self.texels, 0.01)
             ends = [np.clip(r + way * ROUGHNESS_STEP, 0, 1) - r for way in (-1, 1)]
             ends = ends if k == 0 else [-step, step]
@@ -217,7 +217,7 @@ class Joint:
         return H, g
 
 
-def test_materials_are_eliminated_as_from_the_whole_normal_equations():
+def test_elimination_equals_full_normal_equations():
     samples, truth = photographed(8, 6, 64, noise=0.05)
     x = truth + 0.3 * np.random.default_rng(2).normal(size=truth.shape)
     transport = Transport.of(samples, 64)
@@ -233,21 +233,21 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     matrix, gradient = H[:n, :n] - H[:n, n:] @ taken[:, :-1], g[:n] - H[:n, n:] @ taken[:, -1]
     np.testing.assert_allclose(columns.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
     np.testing.assert_allclose(columns.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
-    # It matters: less is known of the light where materials can follow it.
+    # Elimination increases the uncertainty of the light.
     assert np.abs(H[:n, :n] - matrix).max() > 0.02 * np.abs(matrix).max()
     step = np.clip(np.linalg.solve(H, -g)[:n].reshape(3, 64).T, -MAX_CHANGE, MAX_CHANGE)
     np.testing.assert_allclose(columns.step(), step, atol=0.02)
-    for seed in range(3):  # the gradient of the energy itself
+    for seed in range(3):  # gradient of the energy
         d = np.random.default_rng(seed).normal(size=x.shape)
         slope = (joint.energy(x + 1e-4 * d) - joint.energy(x - 1e-4 * d)) / 2e-4
         assert slope == pytest.approx(g[:n] @ d.T.ravel(), rel=1e-4, abs=1e-4 * np.abs(g).max())
 
 
-# --- what else it may be ----------------------------------------------------------------------
+# --- uncertainty ------------------------------------------------------------------------------
 
 
 def test_the_level_is_asked_of_views_that_face_the_surface():
-    """Steep views go, and texels that few others are left of; the rest stays as it is."""
+    """Steep views and rarely seen texels are removed; other samples are unchanged."""
     samples, _ = made_up(12, 9)
     steep = np.where(samples.owner < 3, 0.2, 0.9).astype(np.float32)
     steep[samples.owner == 5] = np.where(np.arange(9) < FEWEST - 1, 0.9, FACING)
@@ -261,7 +261,7 @@ def test_the_level_is_asked_of_views_that_face_the_surface():
     normals = (each.surface.normal.numpy().T for each in (facing, samples))
     np.testing.assert_array_equal(next(normals), next(normals)[left])
     everything, which = replace(samples, cosine=np.full(samples.count, 0.1)).without_steep_views()
-    assert everything.count == len(which) == samples.count  # better than nothing
+    assert everything.count == len(which) == samples.count  # better than no estimate
 
 
 def test_sums_of_dimmer_light_are_those_of_its_columns():
@@ -311,7 +311,7 @@ def test_other_lights_are_as_bright_and_textures_less_certain():
     assert not np.array_equal(estimate.draws, sample_lights(fit, 6, seed=1).draws)
     mean = np.kron(np.full((1, 3), 1 / 3), np.eye(64))
     share = np.exp(x).mean(axis=1) / np.exp(x).mean(axis=1).sum()
-    mean = (np.eye(64) - share) @ mean  # at a given level
+    mean = (np.eye(64) - share) @ mean  # at fixed level
     covariance = mean @ np.linalg.inv(fit.system.matrix) @ mean.T
     np.testing.assert_allclose(estimate.cell_sd, np.sqrt(np.diag(covariance)), rtol=1e-4)
     columns = columns_of(fit.transport, np.exp(x), SWITCHES)
@@ -327,7 +327,7 @@ def test_other_lights_are_as_bright_and_textures_less_certain():
 
 @pytest.fixture(scope="module")
 def outdoors(tmp_path_factory):
-    """A shiny ball in a light that is no mirror image of itself; the light is in the pictures."""
+    """Shiny ball in an asymmetric light that is visible in the photographs."""
     rng, cells = np.random.default_rng(9), fibonacci(256)
     uneven = sum(np.sin(k * cells @ rng.normal(size=(3, 3)) + rng.uniform(0, 6, 3))
                  for k in (1, 2, 3))  # fmt: skip
@@ -339,7 +339,7 @@ def outdoors(tmp_path_factory):
 
 
 def seen_from(emitter, directions: np.ndarray) -> np.ndarray:
-    """(N, 3) radiance of an emitter from directions, as Mitsuba has it."""
+    """Return (N, 3) radiance of an emitter from directions, evaluated by Mitsuba."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
     si.wi = -to_drjit(mi.Vector3f, directions.T.astype(np.float32))
     return np.array(emitter.eval(si)).T
@@ -352,13 +352,13 @@ def alike(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("moves", [False, True])
 def test_the_background_is_light_from_where_the_camera_looks(outdoors, moves):
-    """Of a turntable, in camera space: what all photographs show is the same part of it."""
+    """On a turntable all photographs show the same part of the light, in camera space."""
     capture = turning(outdoors, spp=16) if moves else outdoors
     looks = BackgroundPixels.of(capture, moves=moves)
     truth = seen_from(outdoors.environment, looks.direction)
     assert alike(looks.radiance, truth) > 0.99
     np.testing.assert_allclose(looks.radiance.mean(axis=0), truth.mean(axis=0), rtol=0.02)
-    other = BackgroundPixels.of(capture, moves=not moves)  # in the frame of the other world
+    other = BackgroundPixels.of(capture, moves=not moves)  # in the frame of the other hypothesis
     assert alike(other.radiance, seen_from(outdoors.environment, other.direction)) < 0.5
 
 
@@ -377,7 +377,7 @@ def test_cells_have_the_mean_of_the_pixels_that_show_them(outdoors):
 
 
 def test_there_may_be_no_background_or_nothing_but_black(outdoors):
-    """A black object is refused whatever its light."""
+    """A black object is refused under any light."""
     masks = tuple(np.ones(image.shape[:2], bool) for image in outdoors.images)
     with pytest.raises(CaptureError, match="^No photograph shows background pixels"):
         BackgroundPixels.of(replace(outdoors, masks=masks))
@@ -399,7 +399,7 @@ def test_the_background_helps(outdoors):
     first, second = (compare_lights(one, outdoors.environment) for one in (without, looked))
     assert second.correlation > max(first.correlation + 0.2, 0.8)  # .64 and .95
     assert looked.known_part > without.known_part
-    # The level was looked at, and stays: nothing is left to fix.
+    # The level is determined by the background.
     assert np.abs(np.log(second.scale)).max() < 0.15 and looked.scale_interval[1].max() < 1.3
     assert not any("level of the light" in remark for remark in looked.remarks)
 

@@ -1,4 +1,4 @@
-"""Gains of photographs that nobody wrote down: found, and divided by; what does not fit."""
+"""Estimated gains of photographs: normal equations, division, outliers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ODD = (3, 11, 17)
 
 
 def random_gains(views: int, seed: int = 4) -> np.ndarray:
-    """(V, 3) logarithms: exposure to 30 %, white balance to 15 %, of no mean."""
+    """Return (V, 3) log gains: exposure 30 %, white balance 15 %, zero mean."""
     rng = np.random.default_rng(seed)
     result = rng.uniform(-0.3, 0.3, (views, 1)) + rng.uniform(-0.15, 0.15, (views, 3))
     return result - result.mean(axis=0)
@@ -60,7 +60,7 @@ def multiplied(capture: svu.Capture, gains: np.ndarray) -> svu.Capture:
 # --- the equations ----------------------------------------------------------------------------
 
 
-def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
+def test_gains_and_light_equal_full_normal_equations():
     samples, x = photographed(8, 6, 64, noise=0.05)
     transport, tau = Transport.of(samples, 64), SWITCHES.overdispersion
     posterior = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES)).posterior(
@@ -92,7 +92,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     np.testing.assert_allclose(system.matrix, matrix, atol=2e-4 * np.abs(matrix).max())
     np.testing.assert_allclose(system.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
 
-    # The same beside cells of the light, whose own part is what it is without gains.
+    # With cells of the light, whose own block is the same as without gains.
     both = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)), gains)
     alone = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
     of_light = np.concatenate([np.arange(64) + c * 70 for c in range(3)])
@@ -110,19 +110,19 @@ def test_what_gains_have_in_common_is_the_lights():
     stepped, common = step_gains(gains, None, None, change, None)
     np.testing.assert_allclose(common, change[[0, 1, 3]].mean(axis=0))
     np.testing.assert_allclose(stepped.logarithm[[0, 1, 3]].mean(axis=0), 0, atol=1e-12)
-    np.testing.assert_allclose(stepped.logarithm[2], -common)  # it took no part
+    np.testing.assert_allclose(stepped.logarithm[2], -common)  # skipped by the step
     np.testing.assert_allclose(stepped.factor, np.exp(stepped.logarithm))
 
 
-def test_a_photograph_that_is_taken_back_keeps_the_gain_that_was_found():
-    """An outlier takes no part in a step; once it fits again, its gain is that of its samples."""
+def test_readmitted_photograph_keeps_its_gain():
+    """Steps skip outliers; a readmitted photograph gets the gain of its samples."""
     samples, _ = photographed(40, 6, 64, noise=0)
     gains = FoundGains(np.zeros((6, 3)), np.zeros(6), np.arange(6) == 1)
     bright = np.where(samples.view == 1, 2.0, 1.0)[:, None].astype(np.float32)
     shown = replace(samples, radiance=samples.radiance * bright)
     off = 1 + 0.02 * np.random.default_rng(1).normal(size=samples.radiance.shape)
     system = SimpleNamespace(predicted=samples.radiance * off)
-    change = np.full((6, 3), -0.8)  # of the second, the prior alone
+    change = np.full((6, 3), -0.8)  # the second has only its prior
     after, _ = step_gains(gains, shown, system, change, np.full(40, 0.1))
     assert not after.odd.any()
     np.testing.assert_allclose(after.logarithm[1] - after.logarithm[0], np.log(2) + 0.8, atol=0.02)
@@ -152,7 +152,7 @@ def test_light_and_gains_are_found_together():
 
 @pytest.fixture(scope="module")
 def vase(tmp_path_factory):
-    """The vase from 24 sides. Read only."""
+    """Capture of the vase from 24 sides. Read only."""
     folder = tmp_path_factory.mktemp("vase")
     words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 24)
     assert run(*words, "--resolution", 64, "--spp", 32, "-o", folder) == 0
@@ -174,7 +174,7 @@ def test_gains_are_found_under_a_known_light(observed):
     estimated = estimate_gains(multiplied(observed.capture, true), observed.texels, OPTIONS)
     off = estimated.logarithm - true
     assert np.sqrt(np.mean(off**2)) < 0.05 and not estimated.odd.any()
-    bright = multiplied(observed.capture, true + np.log(3))  # light in other units
+    bright = multiplied(observed.capture, true + np.log(3))  # light in different units
     units = estimate_gains(bright, observed.texels, OPTIONS)
     assert np.sqrt(np.mean((units.logarithm - true) ** 2)) < 0.06 and not units.odd.any()
     without = estimate_gains(observed, options=OPTIONS)
@@ -187,7 +187,7 @@ def test_photographs_that_do_not_fit_are_named_and_left_out(observed):
     images = list(capture.images)
     images[ODD[0]] = images[ODD[0]] * np.float32(4)
     images[ODD[1]] = gaussian_filter(np.nan_to_num(images[ODD[1]]), (4, 4, 0))
-    images[ODD[2]] = np.ascontiguousarray(images[ODD[2]][::-1])  # of something else
+    images[ODD[2]] = np.ascontiguousarray(images[ODD[2]][::-1])  # of a different object
     changed = replace(capture, images=tuple(images))
     estimated = estimate_gains(changed, observed.texels, OPTIONS)
     assert np.flatnonzero(estimated.odd).tolist() == list(ODD)
@@ -207,7 +207,7 @@ def test_photographs_that_do_not_fit_are_named_and_left_out(observed):
 
 
 @pytest.mark.slow
-def test_photographs_are_divided_and_the_capture_is_not_modified(observed):
+def test_equalized_divides_a_copy_of_photographs(observed):
     capture = replace(
         observed.capture, used=tuple(view != 1 for view in range(observed.capture.count))
     )
@@ -254,7 +254,7 @@ def test_they_exclude_looks_at_the_background():
 
 
 @pytest.mark.slow
-def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path, monkeypatch):
+def test_light_with_gains_has_its_own_cache(vase, tmp_path, monkeypatch):
     monkeypatch.setattr(resolve_light, "OPTIONS", replace(OPTIONS, depths=((64, 8),), draws=2))
     monkeypatch.setattr(resolve_light, "RESOLUTION", 48)
     dark = write_dark(vase, tmp_path / "dark")
@@ -275,7 +275,9 @@ def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path
     ])  # fmt: skip
     assert np.sqrt(np.mean((-ratio - np.log(true)) ** 2)) < 0.06
     folder = with_resolved_light(capture, dark / "light-gains", progress=Said())
-    np.testing.assert_array_equal(folder.images[5], lit.images[5])  # they come with their light
+    np.testing.assert_array_equal(
+        folder.images[5], lit.images[5]
+    )  # gains are cached with their light
 
 
 @pytest.mark.slow
@@ -287,7 +289,7 @@ def test_svu_finds_them_under_the_light_of_the_scene(vase, tmp_path, capsys, mon
     assert "entropy.exr" in names(out)
 
 
-def test_white_balance_and_drift_are_told_if_they_are_more_than_chance():
+def test_significant_white_balance_and_drift_are_reported():
     rng = np.random.default_rng(0)
     even = rng.normal(0, 0.02, (24, 3))
     capture = SimpleNamespace(names=[f"{k}.jpg" for k in range(24)], used=[True] * 24)
@@ -298,7 +300,7 @@ def test_white_balance_and_drift_are_told_if_they_are_more_than_chance():
 
     assert "White balance" not in said(even) and "drift" not in said(even)
     told = sum("drift" in said(rng.normal(0, 0.2, (24, 3))) for _ in range(200))
-    assert told <= 10  # photographs that differ at random do not drift
+    assert told <= 10  # random differences are not a drift
     bluer = even + np.linspace(-0.2, 0.2, 24)[:, None] * [0, 0, 1]
     assert re.search(r"White balance .* B 0\.8\d to 1\.1\d\.", said(bluer))
     assert re.search(r"drift: .* by R [01]\.\d\d, G [01]\.\d\d, B 1\.[34]\d\.", said(bluer))

@@ -1,4 +1,4 @@
-"""Photographs that are too bright for the light, or brighter than the others, are named."""
+"""Checks of photographs too bright for the light, or with different gains."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def test_right_photographs_have_one_gain(vase):
     assert gain_finding(gained(vase, [3.0e-5] * VIEWS)).verdict == "fits"  # any unit
 
 
-def test_photographs_twice_as_bright_are_too_bright_for_the_light(vase):
-    """Nothing says that photographs half as bright are not of a dark vase."""
+def test_doubled_photographs_are_too_bright_for_the_light(vase):
+    """Photographs half as bright are consistent with a dark vase."""
     finding = gain_finding(gained(vase, [2.0] * VIEWS))
     assert finding.verdict == "unclear" and TOO_BRIGHT.fullmatch(finding.sentence)
     assert gain_finding(gained(vase, [0.5] * VIEWS)).verdict == "fits"
@@ -82,7 +82,7 @@ def test_photographs_twice_as_bright_are_too_bright_for_the_light(vase):
 
 @pytest.mark.parametrize(("view", "gain"), [(7, 1.5), (2, 0.67), (11, 2.0)])
 def test_the_one_photograph_with_another_gain_is_named(vase, view, gain):
-    """How much it differs is not known well, as the materials are found with it."""
+    """The gain is approximate, as materials are estimated with it."""
     gains = np.ones(VIEWS)
     gains[view] = gain
     finding = gain_finding(gained(vase, gains))
@@ -126,7 +126,7 @@ def test_gains_wait_for_axes(vase):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "light"), [("vase", "studio"), ("knot", "clear")])
 def test_gains_of_our_own_scenes(name, light):
-    """Of 24 photographs, twice as bright and single gains are found; never one that is not."""
+    """Doubled and single gains of 24 photographs are detected without false positives."""
     all_of_it = svu.render_capture(
         scenes.path(name), 32, views=24, resolution=(96, 96), defines={"light": light}
     )
@@ -166,7 +166,7 @@ def test_no_material_is_taken_for_a_gain(vase, material, count):
 
 @pytest.fixture(scope="module")
 def lit_ball():
-    """A ball, the light of a window in double precision, and what a white surface shows in it."""
+    """Return a ball, a window light in double precision, and white radiance under it."""
     shape = capture_mesh.make_mesh("ball", ball())
     picture = np.ascontiguousarray(lights.window(), np.float32)
     scene = mi.load_dict(
@@ -180,7 +180,7 @@ def lit_ball():
 
 
 def oracle(environment, points):
-    """Irradiance / pi by the trapezoidal rule on the map's own grid: nothing hides a convex body.
+    """Return irradiance / pi by the trapezoidal rule on the grid of the map, unoccluded.
 
     (N, 3) float64.
     """
@@ -202,7 +202,7 @@ def test_the_bound_is_what_a_white_surface_shows(lit_ball):
 
 
 def from_around(points, degrees):
-    """Unit directions (4, N, 3) to four cameras, that far from the normals."""
+    """Return unit directions (4, N, 3) to four cameras at an angle to the normals."""
     across = unit(np.cross(points.normal, [0.36, 0.48, 0.8]))
     up = np.cross(points.normal, across)
     angle = np.radians(degrees)
@@ -220,11 +220,11 @@ def excess_from_four_sides(lit_ball, albedo, degrees, unit):
 
 @pytest.mark.parametrize(("albedo", "part"), [(0.95, 0.0), (1.1, 1.0), (1.3, 1.0)])
 def test_what_is_brighter_than_white_is_counted(lit_ball, albedo, part):
-    """Four views see every point of the ball alike, in any unit."""
+    """Return samples with equal radiance in four views, in any unit."""
     excess = excess_from_four_sides(lit_ball, albedo, 40, 250.0)
     assert excess.part == pytest.approx(part, abs=0.01)
     assert excess.factor == pytest.approx(albedo, rel=0.04)
-    assert (excess.sentence() is None) == (albedo < 1.2)  # paint is a little brighter at times
+    assert (excess.sentence() is None) == (albedo < 1.2)  # paint may slightly exceed the bound
 
 
 @pytest.mark.parametrize(("degrees", "judged"), [(10, False), (30, True)])
@@ -235,12 +235,12 @@ def test_what_is_seen_from_one_side_only_is_not_judged(lit_ball, degrees, judged
 
 def test_a_few_bright_points_are_not_a_gain():
     assert Excess(0.09, 3.0).sentence() is None
-    assert Excess(0.4, 1.15).sentence() is None  # the whitest paint there can be
+    assert Excess(0.4, 1.15).sentence() is None  # the whitest possible paint
     assert TOO_BRIGHT.fullmatch(Excess(0.12, 1.6).sentence())
 
 
 def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
-    """Points of known parts, one view of eight brighter by a fifth: to a percent."""
+    """With known materials, a single gain of 1.2 is found to 1 %."""
     random = np.random.default_rng(SEED)
     views, count = 12, 400
     diffuse, lobes = random.random(count) + 0.5, random.random((3, views, count)) * 4
@@ -259,7 +259,7 @@ def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
 
 
 def test_mirrors_look_the_light_up_where_it_is(vase):
-    """The model explains most of the vase's samples, and fewer if the map is turned."""
+    """The model explains most samples of the vase, and fewer under a rotated map."""
     small = reduce_photographs(vase, 64)
     points, emitter = scatter_points(small.shape), emitter_of(small)
     seen = sample_points(points, Thumbnails.of(small))
@@ -274,7 +274,7 @@ def test_mirrors_look_the_light_up_where_it_is(vase):
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 @pytest.mark.slow
 def test_the_console_names_the_gain(vase, tmp_path, capsys):
-    """svu entropy warns, in the same words as svu check; photographs as taken are not doubted."""
+    """svu entropy warns like svu check; correct photographs cause no warning."""
     texels = svu.texels(vase.mesh, 64)
     assert too_bright(svu.estimate(vase, texels)) is None
     doubled = tmp_path / "doubled"

@@ -1,4 +1,4 @@
-"""Light that was found: kept in a folder and read back, scaled by what is known, put in words."""
+"""Folder of estimated light, its scale from known base colours, and its summary."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PAINT = {"type": "principled", "roughness": 0.5, "metallic": 0.0,
 
 @pytest.fixture(scope="module")
 def gray_ball(tmp_path_factory):
-    """A ball of base colour .3 from all sides, in a light that is brighter from one of them."""
+    """Return a ball of base colour 0.3 from all sides, in a light with one bright side."""
     light = {"type": "envmap", "bitmap": mi.Bitmap(made_up_light().radiance)}
     return render_ball(tmp_path_factory.mktemp("ball"), light, PAINT, views=12, spp=32)
 
@@ -97,7 +97,7 @@ def test_files_of_two_runs_are_refused(kept, tmp_path, name):
         svu.load_light(kept)
 
 
-def test_a_map_that_was_painted_over_is_not_taken_for_what_was_found(kept):
+def test_modified_map_is_refused(kept):
     marks = {"svu:run": json.loads((kept / "light.json").read_text())["written"]["run"]}
     layers = read_exr(kept / "light.exr")
     write_exr(kept / "light.exr", {name: 2 * plane for name, plane in layers.items()}, marks)
@@ -137,7 +137,7 @@ def test_a_cut_file_is_named(kept):
 # --- captures under it ------------------------------------------------------------------------
 
 
-def test_photographs_have_a_key_whatever_their_light_and_material(gray_ball, tmp_path):
+def test_photographs_key_ignores_light_and_material(gray_ball, tmp_path):
     lit = svu.with_light(gray_ball, made_up_light())
     scene = ball_scene(tmp_path, {"type": "constant"}, {"type": "diffuse"})
     other = replace(gray_ball, scene=scene, shape=scene.shapes()[0], mesh=scene.shapes()[0])
@@ -154,7 +154,7 @@ def test_photographs_have_a_key_whatever_their_light_and_material(gray_ball, tmp
 
 
 def test_doubt_is_a_part_of_the_light(gray_ball):
-    """A recovery does not go on under light that is better known now."""
+    """A recovery cannot be resumed under a light with a different uncertainty."""
     known, doubtful = (
         svu.with_light(gray_ball, replace(made_up_light(), widening=widening))
         for widening in (1.0, 2.0)
@@ -197,13 +197,13 @@ def test_a_light_that_moves_is_refused_in_one_sentence(gray_ball, kept):
 
 @pytest.fixture
 def proportional(monkeypatch):
-    """Base colours of .3 under the true light, and as much too bright as it is too dark."""
+    """Base colours are 0.3 under the true light, and inversely proportional to its scale."""
 
     def estimate(seen, known=None):
         light, truth = seen.capture.found_light.logarithm, made_up_light().logarithm
         mean = np.tile(0.3 * np.exp((truth - light).mean(axis=0)), (seen.texels.count, 1))
         sd = np.full_like(mean, 0.1)
-        sd[::2] = 0.01  # where base colours are uncertain they are others
+        sd[::2] = 0.01  # uncertain base colours differ
         mean[1::2] *= 1 if known is None else 1.05
         tables = {"mean": {"base_color": mean}, "sd": {"base_color": sd}}
         posterior = SimpleNamespace(**{what: of.__getitem__ for what, of in tables.items()})
@@ -215,7 +215,7 @@ def proportional(monkeypatch):
 @pytest.mark.usefixtures("proportional")
 @pytest.mark.parametrize("tint", [(0.6, 0.6, 0.6), (1.7, 1.7, 1.7), (1.3, 1.0, 0.8)])
 def test_known_base_colours_fix_the_brightness(gray_ball, tint):
-    """Light that is found too dark, or too bright, by a factor; a card tells that of channels."""
+    """A wrong scale is corrected by the mean albedo; a grey card corrects channels."""
     truth = made_up_light()
     light = replace(truth, logarithm=truth.logarithm + np.log(tint))
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
@@ -230,7 +230,7 @@ def test_known_base_colours_fix_the_brightness(gray_ball, tint):
 
 @pytest.mark.slow
 def test_a_card_on_a_ball_fixes_the_brightness(gray_ball):
-    """And posteriors are what says so."""
+    """As above, with real posteriors."""
     truth = made_up_light()
     light = replace(truth, logarithm=truth.logarithm + np.log(0.6))
     seen = observe(gray_ball, svu.texels(gray_ball.mesh, 24))
@@ -286,7 +286,7 @@ def test_the_scale_is_said_as_long_as_it_is_open():
 
 
 def test_a_level_that_was_given_is_known():
-    """What was not known of it is said no more, and it lies in no interval."""
+    """A scaled light has no remark and no interval about its scale."""
     light = made_up_light()
     light = replace(light, remarks=(*light.remarks, UNANCHORED))
     given = light.scaled(2.0)
@@ -313,7 +313,7 @@ def test_doubt_counts_once_however_often_it_is_asked(gray_ball):
 
 
 def test_possible_maps_differ_about_as_much_as_their_cells():
-    """Those of the same cells are equal; more than there are are not made up."""
+    """Returns at most the stored number of maps."""
     light = made_up_light()
     same = replace(light, draws=np.tile(light.logarithm, (2, 1, 1)))
     np.testing.assert_array_equal(same.drawn(2), np.stack([light.radiance] * 2))

@@ -1,4 +1,4 @@
-"""Light that is found in rendered captures: of what worlds, and what is not known of it."""
+"""Light estimated from rendered captures: fixed and moving, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from svu_mi.core.arrays import fibonacci
 from svu_mi.errors import SceneError
 from svu_mi.light.environment import basis_at
 
-TOLD = 6  # degree of harmonics beyond which matte shading tells nothing
+TOLD = 6  # maximum degree that matte shading determines
 SIZES = {"texels": 400, "depths": ((256, 8), (576, 4))}
 FEW, STILL = svu.LightOptions(**SIZES), svu.LightOptions(**SIZES, moves=False)
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def vase():
-    """The vase by the window from 24 sides, and the light that is found: neither is changed."""
+    """Capture of the vase by the window from 24 sides, and its estimated light. Read only."""
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=24, resolution=(96, 96), defines={"light": "window"}
     )
@@ -34,14 +34,14 @@ def vase():
 
 @pytest.fixture(scope="module")
 def window(vase):
-    """The light of that capture, for other scenes."""
+    """Return the light of that capture, for other scenes."""
     params = mi.traverse(vase[0].environment)
-    pixels = np.ascontiguousarray(params["data"].numpy()[:, 1:-1])  # without what wraps around
+    pixels = np.ascontiguousarray(params["data"].numpy()[:, 1:-1])  # without the halo columns
     return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
 
 
 def painted(folder, light, **material):
-    """A ball from all sides; its base colour is one of a texture of stripes and spots."""
+    """Return a capture of a ball from all sides, with one of two textures."""
     u, v = np.meshgrid(np.arange(64) / 64, np.arange(32) / 32)
     color = 0.45 + 0.25 * np.stack(
         [np.sin(30 * u), np.cos(25 * v) * np.sin(12 * u), np.sin(20 * (u + v))], axis=-1
@@ -59,13 +59,13 @@ def test_the_light_of_the_vase_is_found(vase):
 
 
 def test_the_sun_is_brighter_and_not_the_paint_in_it():
-    """Base colours could be bright in the sun and dark in the shade, but hardly are."""
+    """The prior prevents base colours from compensating for the light."""
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=40, resolution=(96, 96), defines={"light": "clear"}
     )
     light = svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)
     like = compare_lights(light, capture.environment)
-    assert like.correlation > 0.8 and like.angle < 10  # .83; .75 if they may be anything
+    assert like.correlation > 0.8 and like.angle < 10  # .83; .75 without the prior
 
 
 def test_the_light_is_the_same_every_time(vase):
@@ -82,7 +82,7 @@ def test_a_turntable_is_recognised(vase):
     assert not still.moves and still.misfit[0] < still.misfit[1]
     table = turning(capture)
     light = svu.estimate_light(table, svu.texels(table.mesh, 96), FEW)
-    like = compare_lights(light, capture.environment)  # turned as in camera space
+    like = compare_lights(light, capture.environment)  # rotated as in camera space
     assert light.moves and light.misfit[1] < 0.5 * light.misfit[0]
     assert like.correlation > 0.8
     with pytest.raises(SceneError, match=r"^The light moves with the camera [^\n]*\.$"):
@@ -91,30 +91,30 @@ def test_a_turntable_is_recognised(vase):
 
 @pytest.fixture(scope="module")
 def matte(tmp_path_factory):
-    """What is found of even light of radiance 1, from a matte ball."""
+    """Return the light estimated from a matte ball in constant light of radiance 1."""
     folder = tmp_path_factory.mktemp("matte")
     capture = painted(folder, {"type": "constant"}, roughness=0.9, metallic=0.0)
     return svu.estimate_light(capture, svu.texels(capture.mesh, 96), FEW)
 
 
 def dimmer_half(light):
-    """Which directions of its map are no brighter than the median, and radiance."""
+    """Return flags of directions up to the median brightness, and radiance."""
     grey = light.radiance.mean(axis=2)
     return grey <= np.median(grey), grey
 
 
-def test_details_that_a_matte_object_cannot_show_are_within_what_is_not_known(matte):
-    """Even light comes out uneven, but no more than its standard deviation says."""
+def test_details_unseen_by_matte_object_are_within_intervals(matte):
+    """Errors of an estimated constant light agree with its standard deviation."""
     dim, grey = dimmer_half(matte)
     off = np.abs(np.log(grey[dim]))
     assert not matte.moves
-    assert (off < NINETY * matte.sd[dim]).mean() > 0.9  # all of it
+    assert (off < NINETY * matte.sd[dim]).mean() > 0.9  # all directions
     assert np.sqrt(np.mean(np.square(off / matte.sd[dim]))) < 1  # .51
     assert np.median(matte.sd[dim]) > 0.5 * SD  # .68
 
 
-def test_details_of_a_matte_object_s_light_are_as_unknown_as_before(matte):
-    """Matte shading tells harmonics up to degree 4 or so; beyond, the prior is left."""
+def test_details_unseen_by_matte_object_keep_prior_sd(matte):
+    """Matte shading determines degrees up to about 4; higher degrees keep the prior."""
     cells = fibonacci(matte.cells)
     basis = basis_at(cells, TOLD)
     fine = np.eye(matte.cells) - basis @ np.linalg.pinv(basis)
@@ -129,7 +129,7 @@ def test_details_of_a_matte_object_s_light_are_as_unknown_as_before(matte):
 
 @pytest.fixture(scope="module")
 def metal(window, tmp_path_factory):
-    """A capture of metal alone, and the light that is found."""
+    """Return a capture of metal only, and its estimated light."""
     folder = tmp_path_factory.mktemp("metal")
     capture = painted(folder, window, roughness=0.3, metallic=1.0)
     return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96), STILL)

@@ -1,4 +1,4 @@
-"""svu batch: lists, steps that are done once, failures, interruptions, and the page."""
+"""``svu batch``: lists, cached steps, failures, interruptions, and the page."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ SMALL = ("--resolution", 16, "-t", 2)
 
 @pytest.fixture
 def shelf_of(shot, tmp_path):
-    """Make a folder of captures, copies of one."""
+    """Return a function that makes a folder of copies of a capture."""
 
     def made(*names):
         for name in names:
             folder = shutil.copytree(shot, tmp_path / "shelf" / name)
             record = json.loads((folder / "capture.json").read_text())
-            record["scene"] = str(scenes.path("vase"))  # not relative to where it was
+            record["scene"] = str(scenes.path("vase"))  # not relative to the copy
             (folder / "capture.json").write_text(json.dumps(record))
         return tmp_path / "shelf"
 
@@ -102,9 +102,7 @@ def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
     assert "needs the textures of recover" in fails(capsys, *words)
 
 
-def test_results_among_the_files_of_captures_are_refused_before_anything_is_written(
-    shelf_of, tmp_path, capsys
-):
+def test_results_inside_captures_are_refused(shelf_of, tmp_path, capsys):
     shelf = shelf_of("a", "b")
     (tmp_path / "scenes" / "vase").mkdir(parents=True)
     shutil.copy(scenes.path("vase"), tmp_path / "scenes" / "vase")
@@ -131,7 +129,7 @@ def test_results_among_the_files_of_captures_are_refused_before_anything_is_writ
 
 
 class Made(CommandPool):
-    """Commands that only put their proof where it belongs, and are counted."""
+    """Command pool that writes only the proof of a step, and counts commands."""
 
     def __init__(self, statuses=()):
         super().__init__()
@@ -172,9 +170,9 @@ def steps_made(shelf: BatchRunner, item: BatchItem) -> list[str]:
     return [line[0] for line in commands.lines]
 
 
-def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp_path):
+def test_step_key_includes_outside_scene_and_variant(shelf_of, tmp_path):
     folder = shelf_of("a", "b") / "a"
-    scene = shutil.copy(scenes.path("vase"), tmp_path / "shelf")  # beside all captures
+    scene = shutil.copy(scenes.path("vase"), tmp_path / "shelf")  # next to all captures
     record = json.loads((folder / "capture.json").read_text()) | {"scene": "../vase.xml"}
     (folder / "capture.json").write_text(json.dumps(record))
     shelf = BatchRunner(output=tmp_path / "shelf" / "out")
@@ -187,7 +185,7 @@ def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp
     os.utime(tmp_path / "shelf" / "b" / "capture.json")  # another capture of the same scene
     assert steps_made(shelf, item) == []
     lit = BatchItem("a", folder, {"light": str(tmp_path / "shelf" / "l.exr")})
-    (tmp_path / "shelf" / "l.exr").touch()  # beside the scene
+    (tmp_path / "shelf" / "l.exr").touch()  # next to the scene
     assert steps_made(shelf, lit) == list(STEPS)
     os.utime(scene)
     assert steps_made(shelf, lit) == list(STEPS) and steps_made(shelf, item) == list(STEPS)
@@ -217,7 +215,7 @@ def test_commands_get_the_options_they_know(tmp_path):
     assert step_key(words["entropy"], "") != step_key(words["entropy"], "x")
 
 
-def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
+def test_commands_accept_paths_with_spaces_and_dashes(tmp_path):
     given = {"light": "my lamps/a b.exr", "images": "-a b", "shape": "--my shape"}
     options = given | {"resolution": "16", "preset": "fast"}
     for name in ("entropy", "recover", "report"):
@@ -233,7 +231,7 @@ def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
         assert str(parsed["images"]) == given["images"] and parsed["scene"] == tmp_path / "a b"
 
 
-def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):
+def test_killed_command_is_retried_failed_one_is_not(shelf_of, tmp_path):
     item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", steps=["entropy"])
     commands = Made([-9, -9])
@@ -275,7 +273,11 @@ def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path)
     assert tried(2)[0]
     left.parent.mkdir(parents=True)
     left.write_bytes(b"half a checkpo")
-    assert tried(130) == ("recover: went wrong", [True], True)  # Ctrl-C: it is good
+    assert tried(130) == (
+        "recover: went wrong",
+        [True],
+        True,
+    )  # after Ctrl-C the checkpoint is valid
     assert tried(2, 2) == ("recover: went wrong", [True, False], False)
     left.touch()
     assert tried(2) == ("", [True, False], False)
@@ -347,7 +349,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path,
 
 
 @pytest.mark.parametrize("name", ["index.html", "Index.CSV"])
-def test_a_capture_that_is_called_like_a_file_of_the_batch_is_refused(shelf_of, tmp_path, name):
+def test_reserved_capture_names_are_refused(shelf_of, tmp_path, name):
     folder = shelf_of("a", name)
     for path in (folder, table(tmp_path, "capture,name", f"shelf/a,{name}")):
         with pytest.raises(OptionError, match=f"the capture name '{name}'"):
@@ -381,7 +383,7 @@ def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):
     assert not (tmp_path / "loaded").exists()
 
 
-def test_a_picture_of_the_page_is_drawn_again_only_if_it_is_another(tmp_path, monkeypatch):
+def test_thumbnail_is_redrawn_only_if_changed(tmp_path, monkeypatch):
     from PIL import Image
 
     (tmp_path / "a" / "entropy").mkdir(parents=True)
@@ -395,7 +397,7 @@ def test_a_picture_of_the_page_is_drawn_again_only_if_it_is_another(tmp_path, mo
     assert len(asked) == 2
 
 
-def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_path):
+def test_page_links_current_results(shelf_of, tmp_path):
     item, out = BatchItem("a", shelf_of("a") / "a"), tmp_path / "out"
 
     def linked(shelf, *statuses):
@@ -412,10 +414,8 @@ def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_p
     assert linked(BatchRunner(output=out)) == list(STEPS)
 
 
-def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_do(
-    shelf_of, tmp_path
-):
-    """As the same command does, after one that was killed, on a cluster."""
+def test_second_worker_waits_and_reuses_results(shelf_of, tmp_path):
+    """A second run, for example after a killed one, waits for the lock."""
     item, shelf = (
         BatchItem("a", shelf_of("a") / "a"),
         BatchRunner(output=tmp_path / "out", patience=60),
@@ -436,7 +436,7 @@ def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_d
 
 
 def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypatch):
-    """It has a task for each of its threads, which every command uses all of."""
+    """A worker has one task per thread, but each command uses all threads."""
     distributed = pytest.importorskip("distributed")
     state, memory = SimpleNamespace(nthreads=4), SimpleNamespace(memory_limit=10**9)
     worker = SimpleNamespace(state=state, memory_manager=memory)
@@ -473,7 +473,7 @@ def maps(out: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_workers_killed_and_interrupted_runs_end_with_the_same_maps(shelf_of, tmp_path):
+def test_killed_workers_give_the_same_maps(shelf_of, tmp_path):
     folder = shelf_of("a", "b")
     words = ["batch", folder, *SMALL, "--steps", "entropy", "recover"]
     assert run(*words, "-o", tmp_path / "one") == 0

@@ -1,4 +1,4 @@
-"""svu batch on a cluster: captures are tasks of Dask workers."""
+"""``svu batch`` on a cluster of Dask workers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIDE = 32
 
 @pytest.fixture(scope="module")
 def client():
-    """Two worker processes of one thread."""
+    """Cluster of two workers with one thread each."""
     distributed = pytest.importorskip("distributed")
 
     def start():
@@ -33,7 +33,7 @@ def client():
 
     try:
         started = start()
-    except AssertionError:  # its thread has not begun after ten seconds, on a machine that stood
+    except AssertionError:  # its thread started too late on a busy machine
         faulthandler.dump_traceback(sys.__stderr__)
         started = start()
     with started as workers, distributed.Client(workers) as client:
@@ -42,7 +42,7 @@ def client():
 
 @pytest.mark.parametrize("name", ["CommClosedError", "CancelledError"])
 def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
-    """Dask says it in two ways: of results on their way, and of work that is not done."""
+    """Dask raises two exceptions: for results in transfer, and for unfinished work."""
     distributed = pytest.importorskip("distributed")
     known = {"CommClosedError": distributed.comm.CommClosedError, "CancelledError": CancelledError}
     monkeypatch.setattr(distributed, "Client", MagicMock())
@@ -52,7 +52,7 @@ def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
 
 @pytest.mark.slow
 def test_captures_are_tasks_of_a_cluster(client, shot, tmp_path):
-    """A batch there has the same results as here, and the same command has nothing left to do."""
+    """Results equal those of a local batch; a second run does nothing."""
     for name in ("a", "b", "broken"):
         folder = shutil.copytree(shot, tmp_path / "shelf" / name)
         record = json.loads((folder / "capture.json").read_text())

@@ -27,7 +27,7 @@ def printed(diagnosis):
 
 
 def test_this_machine_is_healthy(diagnosis):
-    """If this fails, so will everything else; the message is the doctor's."""
+    """If this fails, so do all other tests; the message is from the doctor."""
     facts, checks = diagnosis
     assert all(check.ok for check in checks), printed(diagnosis)
     names = {check.name for check in checks}
@@ -52,7 +52,7 @@ def test_exit_status_tells_health(monkeypatch, diagnosis):
 
 
 def test_an_abort_of_the_render_test_is_reported(monkeypatch):
-    """What LLVM 15 does: a line on stderr, then SIGABRT."""
+    """Abort like LLVM 15: a line on stderr, then SIGABRT."""
     child = "import os, sys; sys.stderr.write('Cannot select: fminimum\\n'); os.abort()  # {}"
     monkeypatch.setattr(doctor, "CHILD", child)
     check = doctor.check_render("llvm_ad_rgb")

@@ -19,16 +19,18 @@ from svu_mi.cli.guide import Guide
 from svu_mi.cli.shared_options import CaptureOptions, SceneOptions
 from svu_mi.core.io.exr import read_exr
 
-MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken
+MISSING = (2, 5, 6)  # missing photographs of the sensors of the scene
 
 
-pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
+pytestmark = pytest.mark.usefixtures("variant")  # svu selects a variant
 
 
 @pytest.fixture(scope="module")
 def partial(shot, tmp_path_factory):
-    """The same with only some of its photographs."""
-    folder = tmp_path_factory.mktemp("partial")  # beside the other: the scene's path is relative
+    """Return a capture with a subset of its photographs."""
+    folder = tmp_path_factory.mktemp(
+        "partial"
+    )  # next to the other: the path of the scene is relative
     shutil.copytree(shot, folder, dirs_exist_ok=True)
     for view in MISSING:
         (folder / f"view_{view:04d}.exr").unlink()
@@ -37,13 +39,13 @@ def partial(shot, tmp_path_factory):
 
 @pytest.fixture
 def no_page(monkeypatch):
-    """Leave out what takes longest and others look at."""
+    """Skip slow outputs that other tests cover."""
 
     monkeypatch.setattr("svu_mi.output.write_guidance.write_guidance_overview", MagicMock())
 
 
 def guide(shot, out, *words):
-    """Run ``svu guide`` on a capture, briefly."""
+    """Run ``svu guide`` on a capture with small settings."""
     return run("guide", shot, "-o", out, "--resolution", 32, "--texels", 400, *words)
 
 
@@ -53,14 +55,14 @@ def plan(folder):
 
 @pytest.fixture(scope="module")
 def planned(shot, tmp_path_factory):
-    """A run's folder, and the lines that it has printed."""
+    """Return the folder of a run, and its printed lines."""
     folder = tmp_path_factory.mktemp("planned")
     with contextlib.redirect_stdout(io.StringIO()) as said:
         assert guide(shot, folder, "--candidates", 20, "--add", 3, "--seed", 5) == 0
     return folder, said.getvalue().splitlines()
 
 
-def test_guide_writes_poses_maps_and_pictures_and_prints_a_table(planned):
+def test_guide_writes_poses_maps_pictures_and_table(planned):
     folder, said = planned
     assert names(folder) == [
         "gain_0.exr", "gain_1.exr", "gain_2.exr", "guidance.json", "guidance.png", "run.json",
@@ -86,7 +88,7 @@ def test_guide_writes_poses_maps_and_pictures_and_prints_a_table(planned):
 
 
 @pytest.mark.slow
-def test_sensors_of_the_scene_that_have_no_photograph_are_candidates(partial, tmp_path):
+def test_sensors_without_photograph_are_candidates(partial, tmp_path):
     assert guide(partial, tmp_path, "--candidates", "scene", "--add", 9) == 0
     guidance = plan(tmp_path)
     missing = sorted(f"view_{view:04d}.exr" for view in MISSING)
@@ -105,9 +107,9 @@ def test_the_poses_of_a_run_are_candidates_of_the_next(shot, planned, tmp_path, 
     words = ("--candidates", planned[0] / "transforms.json", "--add", 1, "--seed", 5)
     assert guide(shot, tmp_path, *words) == 0
     (first,) = plan(tmp_path)["proposals"]
-    assert first["candidate"] == 0  # what was best is best
+    assert first["candidate"] == 0  # the best proposal is unchanged
     gain = plan(planned[0])["proposals"][0]["gain"]
-    assert first["gain"] == pytest.approx(gain, abs=1e-4)  # another border pixel or two
+    assert first["gain"] == pytest.approx(gain, abs=1e-4)  # border pixels may differ
 
 
 def test_what_cannot_be_reached_is_not_proposed(shot, tmp_path, no_page):
@@ -158,7 +160,7 @@ def test_other_ways_to_judge(shot, tmp_path, no_page, words):
     assert read_exr(tmp_path / "gain_1.exr")["Y"].shape == (32, 32)
 
 
-EARLY = {  # refused before anything is loaded
+EARLY = {  # fails before loading
     "add": (["--add", "0"], "--add must be at least 1"),
     "no candidate": (["--candidates", "0"], "--candidates must be at least 1"),
     "no file": (["--candidates", "{tmp}/none.json"], "must be a number, a file or"),
@@ -204,7 +206,7 @@ LATE = {
 
 @pytest.fixture(scope="module")
 def bad(tmp_path_factory):
-    """Files that are no good."""
+    """Return invalid files."""
     folder = tmp_path_factory.mktemp("bad")
     texts = {"words.txt": "0 one 2", "mixed.json": "[0, true]", "flags.json": "[true, false]",
              "empty.xml": '<scene version="3.0.0"><emitter type="constant"/></scene>'}  # fmt: skip
@@ -217,7 +219,7 @@ def bad(tmp_path_factory):
 def test_bad_input_is_one_line_and_nothing_is_half_written(partial, tmp_path, capsys, bad, case):
     words, sentence = (EARLY | LATE)[case]
     words = [word.format(tmp=tmp_path, **bad) for word in words]
-    # Where the scene does not exist, whoever looks for it is too late.
+    # The scene does not exist: the error must come before loading.
     place = (partial, "--resolution", 16) if case in LATE else (tmp_path / "no.xml",)
     line = fails(capsys, "guide", *place, *words, "-o", tmp_path / "out")
     assert sentence in line

@@ -1,4 +1,4 @@
-"""``svu import`` remembers what it was asked for, and ``svu check`` prints it, ready to paste."""
+"""``svu import`` records its options; ``svu check`` prints them as a command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from svu_mi.core.io.exr import write_exr
 
 @pytest.fixture
 def given(tmp_path, monkeypatch):
-    """A folder of a NeRF tool with a photograph, a mesh and a light, in the working directory."""
+    """NeRF folder with a photograph, a mesh and a light, as working directory."""
     folder = tmp_path / "my nerf"
     folder.mkdir()
     trimesh.creation.icosphere(subdivisions=2).export(folder / "scan.ply")
@@ -62,7 +62,7 @@ def test_the_whole_command_is_printed_again(given, capsys, kind):
     assert line.startswith("svu import 'my nerf' ")
     assert line.endswith(" --fix camera-y180 --fix light-flip -o 'the capture'")
     program, *again = shlex.split(line)
-    assert program == "svu" and main(again) == 0  # as somebody pastes it
+    assert program == "svu" and main(again) == 0  # as pasted into a shell
     after = json.loads((given.parent / "the capture/capture.json").read_text())["import"]
     assert after["fixes"] == [*record["fixes"], "camera-y180", "light-flip"]
     assert after["options"] == again[1:-2]
@@ -75,7 +75,7 @@ def test_the_whole_command_is_printed_again(given, capsys, kind):
     (["light-flip"], ["light-turn-90"], ["light-flip", "light-turn-90"]),
 ])  # fmt: skip
 def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left):
-    """Twice the same is nothing, but for quarter turns."""
+    """Applying a correction twice cancels it, except for quarter turns."""
     words = [word for name in given_before for word in ("--fix", name)]
     assert main(["import", *NEEDED, *words, "-o", "capture"]) == 0
     line = reimport_command(svu.load_capture("capture", light="optional"), said)
@@ -85,7 +85,7 @@ def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left
 
 @pytest.fixture
 def imported_with(given):
-    """Say that the capture was imported with other words, and return it."""
+    """Return the capture with different recorded import options."""
     main(["import", *NEEDED, "-o", "capture"])
     path = given.parent / "capture/capture.json"
     record = json.loads(path.read_text())
@@ -100,7 +100,7 @@ def imported_with(given):
 
 
 def test_a_capture_of_unknown_words(imported_with):
-    """Imported from Python, by an earlier version, or changed by somebody since."""
+    """Imported from Python or by an earlier version, or modified later."""
     for options in (None, "words", [1, 2], {}):
         again = reimport_command(imported_with(options), ["mesh-x90"])
         assert again == "svu import ... --fix mesh-x90"
@@ -111,8 +111,8 @@ def test_a_capture_of_unknown_words(imported_with):
     ["another source"], ["--resume"], ["--mesh"], ["--fix", "-o"], ["--fix", "unknown"],
     ["--split", "test\n"], ["--split", "--", "x"], ["--split", "\x1b[2J"], ["--mesh=-o"], ["-h"],
 ])  # fmt: skip
-def test_words_that_an_import_would_not_have_written_are_not_printed(imported_with, more, capsys):
-    """A stranger's capture must not make a command that reads or writes something else."""
+def test_invalid_recorded_options_are_not_printed(imported_with, more, capsys):
+    """An untrusted capture must not inject arguments into the command."""
     capsys.readouterr()
     for options in ([*NEEDED, *more], ["-o", *NEEDED]):
         again = reimport_command(imported_with(options), ["mesh-x90"])
@@ -124,7 +124,7 @@ def test_words_that_an_import_would_not_have_written_are_not_printed(imported_wi
 
 
 def test_every_option_is_known():
-    """So that the command is printed whole, whatever was asked for."""
+    """The command is printed completely for all options."""
     options = Conversion(
         mesh="m.ply", mesh_up="y", world_up="z", mesh_scale=2.0, geometry_only=True,
         environment=Light(path=Path("l.exr"), to_world=ENVIRONMENT_AXES["blender"], scale=2.0),

@@ -1,4 +1,4 @@
-"""``svu light``, and commands on a capture without a light: it is found once, kept, and reused."""
+"""``svu light``, and commands that estimate a missing light once and cache it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, SvuWarning
 
-pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
+pytestmark = pytest.mark.usefixtures("variant")  # svu selects a variant
 
 SMALL = ("--texels", 100, "--depths", 64, 6, "--resolution", 48)
 FILES = ["light.exr", "light.json", "light.npz"]
@@ -29,7 +29,7 @@ FILES = ["light.exr", "light.json", "light.npz"]
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
-    """What commands look for is small, too."""
+    """Also use small settings in other commands."""
     options = svu.LightOptions(texels=100, depths=((64, 6),), draws=2)
     monkeypatch.setattr(resolve_light, "OPTIONS", options)
     monkeypatch.setattr(resolve_light, "RESOLUTION", 48)
@@ -37,7 +37,7 @@ def _small(monkeypatch):
 
 @pytest.fixture(scope="module")
 def around(tmp_path_factory):
-    """The vase from so many sides that some of its texels are in four photographs. Read only."""
+    """Vase with enough views that some texels are seen four times. Read only."""
     folder = tmp_path_factory.mktemp("around")
     words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 24)
     assert run(*words, "--resolution", 48, "--spp", 16, "-o", folder) == 0
@@ -46,13 +46,13 @@ def around(tmp_path_factory):
 
 @pytest.fixture
 def dark(around, tmp_path):
-    """The capture in a scene without a light."""
+    """Return the capture in a scene without a light."""
     return write_dark(around, tmp_path / "dark")
 
 
 @pytest.fixture
 def made_up(monkeypatch):
-    """Light is not searched for; how often it was asked for is counted."""
+    """Replace the estimate of the light, and count its calls."""
     asked = []
 
     def estimate(capture, *_):
@@ -64,7 +64,7 @@ def made_up(monkeypatch):
 
 
 def lit(folder: Path, given: Path | None = None, elsewhere: Path | None = None) -> Any:
-    """Return the capture of a folder with a light, and what was said."""
+    """Return the capture of a folder with a light, and the printed lines."""
     progress = Said()
     capture = svu.load_capture(folder, light="optional")
     lit = resolve_light.with_resolved_light(capture, given, elsewhere=elsewhere, progress=progress)
@@ -93,7 +93,7 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     assert run("light", around, *scaled, "-o", tmp_path / "b") == 0
     assert "Its brightness was given" in capsys.readouterr().out
     assert names(tmp_path / "b") == FILES
-    first, second = (svu.load_light(tmp_path / name) for name in "ab")  # the same every time
+    first, second = (svu.load_light(tmp_path / name) for name in "ab")  # deterministic
     np.testing.assert_allclose(second.radiance, 2 * first.radiance, rtol=1e-5)
 
 
@@ -180,7 +180,7 @@ def test_a_broken_one_is_said_and_found_again(dark, made_up):
 
 
 @pytest.mark.slow
-def test_it_is_kept_beside_the_results_where_the_capture_is_read_only(dark, tmp_path, made_up):
+def test_light_is_cached_with_results_of_read_only_capture(dark, tmp_path, made_up):
     (dark / "light").write_text("in the way")
     place = tmp_path / "out" / "light"
     assert f"The light is cached in {place}." in lit(dark, elsewhere=place)[1]
@@ -216,7 +216,7 @@ def test_what_stops_the_search_is_one_line(dark, tmp_path, capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
-    """Everything that goes on from them, under one light."""
+    """All later commands use the same light."""
     out = tmp_path / "textures"
     size = ("--resolution", 24)
     assert run("entropy", dark, *size, "--no-pictures", "-o", tmp_path / "entropy") == 0
@@ -228,7 +228,7 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     said = capsys.readouterr()
     assert said.out.count("estimating it from the photographs") == 1
     assert said.out.count("Using the estimated light in ") == 4
-    assert "come from another capture" not in said.err  # textures and report are of one
+    assert "come from another capture" not in said.err  # textures and report use the same light
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<h2>Estimated light</h2>" in page
     assert 'alt="Radiance of the light"' in page
@@ -241,7 +241,7 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_an_import_is_done_again_over_light_that_was_kept(around, tmp_path, made_up):
-    """The light stays, and is found again if the photographs are others now."""
+    """Import again: the light stays cached until the photographs change."""
     source = tmp_path / "source"
     shutil.copytree(around, source)
     capture = svu.load_capture(around)

@@ -1,4 +1,4 @@
-"""The program: files and exit status 0 on good input, one clear line and 2 on bad input."""
+"""``svu``: files and status 0 on valid input, one line and status 2 on bad input."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from svu_mi.errors import SvuError
 FILES = ["coverage.exr", "entropy.exr", "overview.png", "run.json"]
 
 
-pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
+pytestmark = pytest.mark.usefixtures("variant")  # svu selects a variant
 
 
 def test_render_writes_a_capture_folder(shot):
@@ -67,7 +67,7 @@ def test_entropy_writes_four_files(shot, tmp_path, capsys):
     assert re.fullmatch(r"\d+ % of the surface seen, mean entropy 0\.\d\d", summary)
 
 
-def test_a_result_is_no_capture_and_says_which_one_it_was_made_of(tmp_path, capsys):
+def test_result_as_capture_is_refused_with_its_source(tmp_path, capsys):
     result = tmp_path / "result"
     write_older(result, "recover", "run.json", ["base_color.exr"])
     words = ("entropy", result, "-o", tmp_path / "out")
@@ -102,7 +102,7 @@ def test_results_are_not_written_among_the_files_of_the_scene(tmp_path, capsys, 
     assert names(tmp_path) == before
 
 
-def test_without_photographs_a_scene_is_rendered_only_when_asked(tmp_path, capsys):
+def test_scene_is_rendered_only_with_option_render(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
     words = ("entropy", path, "-o", tmp_path / "out", "--resolution", 24)
     line = fails(capsys, *words)
@@ -120,7 +120,7 @@ def test_without_photographs_a_scene_is_rendered_only_when_asked(tmp_path, capsy
 
 
 def test_60_photographs_of_100_sensors(tmp_path, capsys):
-    """Here 3 of 5."""
+    """In this test, 3 of 5."""
     path = write_scene(tmp_path, sensors=sensor_xml(5, 32, 32))
     photographs, out = tmp_path / "photographs", tmp_path / "out"
     assert run("render", path, "--spp", 2, "-o", photographs) == 0
@@ -137,7 +137,7 @@ def test_60_photographs_of_100_sensors(tmp_path, capsys):
 
 
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
-def test_overlapping_uvs_are_unwrapped_when_asked_rendered_scenes_too(tmp_path, capsys):
+def test_overlapping_uvs_are_unwrapped_with_option_unwrap(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32), **overlapping_balls())
     words = ["entropy", path, "-o", tmp_path / "out", "--resolution", 32, "--render", "--spp", 1]
     assert "--unwrap" in fails(capsys, *words)
@@ -169,10 +169,8 @@ def test_bad_input_is_one_line_and_status_2(shot, tmp_path, capsys):
     assert "seed" in fails(capsys, "render", scenes.path("vase"), "--seed", -1, "-o", out)
 
 
-def test_what_has_nothing_to_do_with_photographs_is_refused_before_they_are_read(
-    tmp_path, capsys, monkeypatch
-):
-    """No scene is loaded: there is none."""
+def test_invalid_options_fail_before_photographs_are_read(tmp_path, capsys, monkeypatch):
+    """The scene does not exist, so it cannot have been loaded."""
     words = (tmp_path / "no.xml", "-o", tmp_path / "out")
     line = fails(capsys, "entropy", *words, "--method", "spectrum", "--preset", "fixed")
     assert line == (
@@ -188,7 +186,7 @@ def test_what_has_nothing_to_do_with_photographs_is_refused_before_they_are_read
     )
 
 
-def test_a_scene_without_sensors_is_told_of_commands_that_place_some(tmp_path, capsys):
+def test_scene_without_sensors_names_the_remedy(tmp_path, capsys):
     path = write_scene(tmp_path, sensors="")
     for command, remedy in (
         ("entropy", "render some with svu render --views N"),
@@ -206,7 +204,7 @@ def test_memory_is_announced_before_any_pixel_is_read(shot, tmp_path, capsys, mo
     monkeypatch.setattr("svu_mi.capture.photographs._read_photograph", None)
     monkeypatch.setattr("svu_mi.core.memory.free_memory", lambda: 10**11)
     words = (command, shot, "-o", tmp_path / "out.html")
-    with pytest.raises(TypeError):  # nothing reads the photographs
+    with pytest.raises(TypeError):  # the patched reader fails
         run(*words, "-v")
     told = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"Needs up to [.\d]+ GB of memory; \d+ GB available", told[0])
@@ -252,7 +250,7 @@ def help_of(command, width, monkeypatch, capsys):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)], ids=str)
 def test_help_can_be_read_in_a_narrow_window(command, monkeypatch, capsys):
-    """No line is longer than the window, none ends inside a word, and no type is spelt out."""
+    """Lines fit the window, and words and option types are intact."""
     wide = help_of(command, 500, monkeypatch, capsys)
     assert "None}" not in wide
     words = set(re.split(r"[\s,]+", wide))

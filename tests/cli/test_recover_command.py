@@ -1,4 +1,4 @@
-"""``svu recover``: files and status 0, one line and 2 on bad input, 130 and a way on for Ctrl-C."""
+"""``svu recover``: files, bad input, and Ctrl-C with ``--resume``."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ NUMBERS = [
 ]  # fmt: skip
 FILES = sorted([*NUMBERS, *PICTURES])
 SIZE = 32
-pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
+pytestmark = pytest.mark.usefixtures("variant")  # svu selects a variant
 
 
 @pytest.fixture
 def no_pictures(monkeypatch):
-    """Of a recovery's results, they take longest, and others look at them."""
+    """Skip slow outputs that other tests cover."""
     monkeypatch.setattr("svu_mi.output.write_recovery._draw", MagicMock())
 
 
 def recover(shot, out, *words):
-    """Run ``svu recover`` on the capture, briefly."""
+    """Run ``svu recover`` on the capture with small settings."""
     steps = () if "path" in words else ("--steps", 20)
     return run("recover", shot, "-o", out, "--resolution", SIZE, *steps, *words)
 
@@ -119,7 +119,7 @@ def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeyp
 
 
 def interrupt_after(monkeypatch, steps):
-    """Press Ctrl-C in the middle of a step of the last descent, which ``recover`` made short."""
+    """Interrupt a step of the last descent."""
     advance = adam._DescentRun.advance
 
     def interrupted(self):
@@ -131,7 +131,7 @@ def interrupt_after(monkeypatch, steps):
 
 
 def brighter(shot, folder):
-    """The same capture with one photograph that is twice as bright."""
+    """Return the capture with one photograph twice as bright."""
     for path in shot.iterdir():
         (folder / path.name).write_bytes(path.read_bytes())
     image = read_exr(folder / "view_0002.exr")
@@ -140,7 +140,7 @@ def brighter(shot, folder):
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_to_the_same_textures_and_is_no_other_run(
+def test_resumed_run_gives_the_same_textures(
     shot, tmp_path, tmp_path_factory, capsys, monkeypatch, no_pictures
 ):
     assert "no checkpoint" in fails(capsys, "recover", shot, "-o", tmp_path / "out", "--resume")
@@ -181,7 +181,7 @@ def test_an_interrupt_that_was_wrapped_is_one():
 
 @pytest.fixture
 def ctrl_c():
-    """Elsewhere than at a terminal, Ctrl-C may be off."""
+    """Ctrl-C may be ignored without a terminal."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -213,7 +213,7 @@ BAD = {
     "steps": (["--steps", "-3"], "steps"),
     "epochs": (["--method", "path", "--epochs", "0"], "epochs"),
     "seconds": (["--checkpoint-seconds", "-1"], "seconds"),
-}  # what all commands share, test_main.py has
+}  # common options are tested in test_main.py
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -296,9 +296,7 @@ def test_what_relight_cannot_do_is_said(shot, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
-    shot, tmp_path, monkeypatch, capsys
-):
+def test_failed_page_is_an_error_and_leaves_no_result(shot, tmp_path, monkeypatch, capsys):
     def refuse(*_, **__):
         raise OutputError("relit.png: the disk is full.")
 
