@@ -122,7 +122,7 @@ def test_nan_texels_show_the_background(values):
         assert np.isfinite(image).all()
 
 
-def test_shading_darkens_what_turns_away(file):
+def test_shading_darkens_grazing_angles(file):
     T = mi.ScalarTransform4f
     tilted = {"type": "rectangle", "to_world": T().rotate([1, 0, 0], 60).scale(4)}
     flat, shaded = (

@@ -67,7 +67,7 @@ def test_it_is_adam_with_a_falling_rate_and_projection():
     assert descent.losses.dtype == np.float32
 
 
-def test_start_is_left_alone():
+def test_descent_does_not_modify_its_start():
     start = half()
     descend(towards(truth()), start, DescentOptions(steps=3))
     assert np.all(np.array(start["base_color"]) == 0.5)
@@ -124,7 +124,7 @@ def test_nan_loss_names_its_step_and_keeps_the_checkpoint(tmp_path, bad):
     assert np.isfinite(kept.losses).all()
 
 
-def test_a_bad_gradient_behind_a_good_loss_is_named():
+def test_nan_gradient_of_a_finite_loss_is_named():
     """The square root of 0 has a finite value and an infinite slope."""
 
     def objective(textures, step):
@@ -135,7 +135,7 @@ def test_a_bad_gradient_behind_a_good_loss_is_named():
         descend(objective, half(), DescentOptions(steps=40))
 
 
-def test_single_parameters_may_have_rates_of_their_own():
+def test_rates_can_be_scaled_by_parameter():
     start = {name: as_tensor(np.full(SHAPE, 0.5)) for name in ("base_color", "roughness")}
 
     def objective(textures, step):
@@ -171,7 +171,7 @@ class Watcher:
         self.texts.append(text)
 
 
-def test_progress_says_loss_rate_and_time_left():
+def test_progress_shows_loss_rate_and_remaining_time():
     watcher = Watcher()
     descend(towards(truth()), half(), DescentOptions(steps=25), progress=watcher)
     assert watcher.done == [(10, 25), (20, 25), (25, 25)]

@@ -61,7 +61,7 @@ def state(step=4):
                  losses=rng.random(step, np.float32))  # fmt: skip
 
 
-def test_what_is_saved_is_what_is_loaded(tmp_path):
+def test_saved_checkpoint_loads_unchanged(tmp_path):
     checkpoint = Checkpoint(tmp_path / "c.npz", SETTINGS)
     assert checkpoint.load(SHAPES) is None
     checkpoint.save(state(4))
@@ -109,7 +109,7 @@ def test_a_truncated_file_is_refused(tmp_path, part):
         Checkpoint(path, SETTINGS).load(SHAPES)
 
 
-def test_no_flipped_bit_goes_unseen(tmp_path):
+def test_flipped_bits_are_detected(tmp_path):
     """Of bits all over the file; those that change nothing (in the zip's own fields) may pass."""
     path = tmp_path / "c.npz"
     Checkpoint(path, SETTINGS).save(state())

@@ -63,7 +63,7 @@ def known_of(values: np.ndarray, texels: np.ndarray) -> KnownTexels:
     SymmetryPredictor("turned piece", Y),
     SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)), SymmetryPredictor("repeated", Y, 4),
 ])  # fmt: skip
-def test_a_guess_knows_what_is_alike(likeness: SymmetryPredictor) -> None:
+def test_predictors_use_similar_texels(likeness: SymmetryPredictor) -> None:
     """Bands around a cylinder: near ones tell little of its far side, a turn or a mirror all."""
     pieces = cylinder(240)
     x, y, _ = pieces.point.T
@@ -116,7 +116,7 @@ def test_pieces_are_of_one_material() -> None:
     np.testing.assert_allclose(pieces.middle[60:], np.tile(middle, (60, 1)), atol=1e-12)
 
 
-def test_a_piece_of_which_too_little_is_known_is_like_nothing() -> None:
+def test_pieces_with_few_known_texels_do_not_predict() -> None:
     pieces = replace(cylinder(20), piece=np.repeat([0, 1], 600))
     values = np.full((1, 1200), 0.4)
     some = known_of(values, np.concatenate([np.arange(100), 600 + np.arange(FEWEST - 1)]))
@@ -163,7 +163,7 @@ def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, en
     assert np.abs(off).max() < 0.04 and np.sqrt((off**2).mean()) < 0.01
 
 
-def test_groups_are_of_neighbours_that_are_all_known_or_none() -> None:
+def test_groups_are_all_known_or_all_unknown() -> None:
     hole, alone = round_hole(41, 0.7), round_hole(41, 0.3)
     graph, _ = sheet(41, hole, alone)
     groups, owner = graph.halved
@@ -191,7 +191,7 @@ def test_groups_are_of_neighbours_that_are_all_known_or_none() -> None:
 
 
 @pytest.mark.parametrize("title", MEAN_WEIGHTS)
-def test_over_groups_values_spread_as_far_as_over_texels(monkeypatch, title: str) -> None:
+def test_values_spread_equally_over_groups_and_texels(monkeypatch, title: str) -> None:
     """Guesses are tried on groups: they must be those that texels are filled by."""
     hole = round_hole(128, 0.8)
     graph, _ = sheet(128, hole, np.zeros_like(hole))
@@ -233,7 +233,7 @@ def test_filling_is_never_worse_than_tv_on_held_out_parts() -> None:
         assert set(title for title, weight in none.items() if weight > 0) <= set(MEAN_WEIGHTS)
 
 
-def test_the_better_a_guess_the_more_it_counts() -> None:
+def test_better_predictors_get_larger_weights() -> None:
     errors = np.full((2, len(TITLES), 40), 0.4)
     errors[:, TITLES.index("turned about y")] = 0.1
     errors[0, TITLES.index("near")] = 0.1  # on one part only
@@ -247,7 +247,7 @@ def test_the_better_a_guess_the_more_it_counts() -> None:
     assert judged_of(errors).share == 1.0
 
 
-def test_nothing_is_alike_where_nothing_is_near() -> None:
+def test_predictor_without_neighbours_has_no_match() -> None:
     far = 3 * KNN_SETTINGS["mirrored"].farthest
     points = np.array([[0.5, 0, 0], [0.51, 0, 0], [-0.5, far, 0]], float)
     pieces = Pieces(points, np.zeros((3, 3)), np.zeros(3, np.int64))
@@ -313,7 +313,7 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace, filled: F
 
 
 @pytest.mark.slow
-def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> None:
+def test_common_scale_is_counted_once(banded: SimpleNamespace) -> None:
     """Of light that was found: what is not filled is as sure as before, and filling again."""
     field = replace(banded.field, scale=np.array([0.1, 0.2, 0.3]))
     result = fill(field, ~banded.hidden)
@@ -327,7 +327,7 @@ def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> 
 
 
 @pytest.mark.slow
-def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> None:
+def test_large_textures_are_cross_validated_by_groups(monkeypatch, banded) -> None:
     """What fills them is about the same, and so is how far off that is: of wide stripes."""
     field, hidden = banded.field, banded.hidden
     _, y, z = normalized_points(np.array(field.texels.position).T).T
@@ -346,7 +346,7 @@ def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> N
         np.testing.assert_array_equal(new[:, ~hidden], old[:, ~hidden])
 
 
-def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace, filled: Filled) -> None:
+def test_intervals_of_filled_texels_have_coverage(banded: SimpleNamespace, filled: Filled) -> None:
     low, high = filled.field.interval("roughness")
     true = np.squeeze(banded.values["roughness"])
     assert ((low <= true) & (true <= high))[banded.hidden].mean() > 0.8
@@ -361,7 +361,7 @@ def test_all_seen_and_none_seen(banded: SimpleNamespace) -> None:
 
 
 @pytest.mark.slow
-def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
+def test_single_unseen_texel_is_filled(banded: SimpleNamespace) -> None:
     seen = np.ones(banded.field.texels.count, bool)
     seen[7] = False
     result = fill(banded.field, seen)
@@ -370,13 +370,13 @@ def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
 
 
 @pytest.mark.slow
-def test_standard_deviations_are_at_least_what_was_measured(banded, filled: Filled) -> None:
+def test_filled_sd_is_at_least_the_held_out_error(banded, filled: Filled) -> None:
     """Of values that are clipped, too, where a normal distribution loses half of its width."""
     for name in NAMES:
         assert (filled.field.sd(name)[banded.hidden] > 0.97 * filled.errors[name]).all()
 
 
-def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
+def test_impossible_fills_are_refused(banded: SimpleNamespace) -> None:
     field, seen = banded.field, ~banded.hidden
     for flags in (seen[:-1], seen[:, None], np.True_):
         with pytest.raises(ShapeError, match=f"one flag for each of {len(seen)} texels"):
@@ -388,7 +388,7 @@ def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
         fill(field, seen, above=1e-6)
 
 
-def test_of_a_flat_object_sides_are_hidden() -> None:
+def test_flat_objects_hold_out_sides() -> None:
     """All of it faces one way, and what faces one way would be everything."""
     x, y = (side.ravel() for side in np.meshgrid(np.arange(20.0), np.arange(12.0)))
     point = normalized_points(np.stack([x, y, 0 * x], axis=1))
@@ -412,7 +412,7 @@ def test_how_textures_were_recovered(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace) -> None:
+def test_uncertain_texels_are_fused_by_precision(vase: SimpleNamespace) -> None:
     recovery = recover(vase.estimate)
     field = field_around(
         recovery.textures, recovery.estimate, neighbors(vase.texels, vase.capture.mesh)

@@ -105,7 +105,7 @@ def test_certain_latents_are_restored_until_the_last_steps(free: int) -> None:
     assert kept == 0 if free == 0 else kept > 0.01
 
 
-def test_elsewhere_the_model_has_its_way() -> None:
+def test_uncertain_latents_follow_the_model() -> None:
     """Pixels do not know of each other here: uncertain ones are what they are without the rest."""
 
     def model(latent: np.ndarray, time: float) -> np.ndarray:
@@ -170,7 +170,7 @@ def by_truth(painted: SimpleNamespace) -> tuple[Filled, Truth]:
 
 
 @pytest.mark.slow
-def test_texels_get_what_the_model_says_of_their_place(painted, by_truth) -> None:
+def test_texels_take_the_models_values(painted, by_truth) -> None:
     """Of a model that knows the truth, texels get the truth: nothing is flipped or shifted."""
     result, _ = by_truth
     model = result.invented
@@ -190,14 +190,14 @@ def test_texels_get_what_the_model_says_of_their_place(painted, by_truth) -> Non
 
 
 @pytest.mark.slow
-def test_what_was_filled_is_never_surer_than_before(painted, by_truth) -> None:
+def test_filling_never_reduces_the_sd(painted, by_truth) -> None:
     result, _ = by_truth
     assert (result.field.width >= painted.field.width - 1e-6).all()
     np.testing.assert_array_equal(result.filled, ~painted.shown)
 
 
 @pytest.mark.slow
-def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
+def test_model_input_contains_known_values(painted, by_truth) -> None:
     filled, model = by_truth
     assert set(model.steps) == {(4, 1)}
     seeds = [seed for _, seed in model.asked]
@@ -218,7 +218,7 @@ def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_hidden_to_try_is_not_known(by_truth) -> None:
+def test_held_out_texels_are_unknown_to_the_model(by_truth) -> None:
     """Where likeness finds nothing, recovery's values stay, which here are the very truth."""
     filled, _ = by_truth
     assert min(filled.invented.answers[0].likeness.values()) > 0.01
@@ -234,7 +234,7 @@ def by_quarter(painted: SimpleNamespace) -> tuple[Filled, Truth]:
 
 
 @pytest.mark.slow
-def test_precisions_weigh_what_is_known_and_what_the_model_says(painted, by_quarter) -> None:
+def test_model_values_are_fused_by_precision(painted, by_quarter) -> None:
     filled, _ = by_quarter
     field, shown = painted.field, painted.shown
     answers = {answer.source: answer for answer in filled.invented.answers}
@@ -251,7 +251,7 @@ def test_precisions_weigh_what_is_known_and_what_the_model_says(painted, by_quar
 
 
 @pytest.mark.slow
-def test_sentences_name_the_model_and_how_far_off_it_was(by_quarter) -> None:
+def test_summary_names_the_model_and_its_error(by_quarter) -> None:
     filled, _ = by_quarter
     said = " ".join(fill_sentences(filled))
     assert "by the truth; licence of its weights: none." in said
@@ -294,7 +294,7 @@ def test_a_window_of_a_sensor_sees_the_same(vase: SimpleNamespace) -> None:
 
 
 @pytest.mark.slow
-def test_files_say_which_texels_are_the_models(painted, by_truth, tmp_path) -> None:
+def test_files_mark_texels_of_the_model(painted, by_truth, tmp_path) -> None:
     from svu_mi.core.io.exr import read_exr
 
     result, _ = by_truth
@@ -309,7 +309,7 @@ def test_files_say_which_texels_are_the_models(painted, by_truth, tmp_path) -> N
     assert record["answers"][0]["reached"] == int(result.invented.reached.sum())
 
 
-def test_nothing_to_fill_is_not_asked(painted) -> None:
+def test_model_is_not_run_without_texels_to_fill(painted) -> None:
     model, everything = Truth(painted), np.ones(painted.field.texels.count, bool)
     filled = fill_by_diffusion(painted.capture, painted.field, everything, model)
     assert filled.field is painted.field and filled.invented is None and not model.asked
@@ -333,7 +333,7 @@ def folder_of(path: Path, name: object = "MarigoldIntrinsicsPipeline", ext: str 
     return path
 
 
-def test_folders_say_what_they_hold(tmp_path) -> None:
+def test_folders_are_identified_by_their_index(tmp_path) -> None:
     for name, family in FAMILIES.items():
         assert family_of(folder_of(tmp_path / name, name)) is family
     assert "noncommercial" in FAMILIES["StableDiffusionAOVMatEstPipeline"].licence

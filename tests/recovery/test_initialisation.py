@@ -34,7 +34,7 @@ def smoothing_of(vase: SimpleNamespace, names: tuple[str, ...], epsilon: float) 
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 1e-2])
-def test_it_is_the_pull_and_the_total_variation_of_textures(vase: SimpleNamespace, epsilon: float):
+def test_smoothed_start_is_prior_plus_total_variation(vase: SimpleNamespace, epsilon: float):
     textures = random_textures(vase.texels)
     smoothing = smoothing_of(vase, NAMES, epsilon)
     channels = smoothing.start(textures)
@@ -57,7 +57,7 @@ def test_it_is_the_pull_and_the_total_variation_of_textures(vase: SimpleNamespac
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6 * np.abs(theirs).max())
 
 
-def test_only_what_is_recovered_is_smoothed(vase: SimpleNamespace):
+def test_only_recovered_parameters_are_smoothed(vase: SimpleNamespace):
     textures = random_textures(vase.texels)
     smoothing = smoothing_of(vase, ("roughness",), 1e-2)
     channels = smoothing.start(textures)

@@ -208,7 +208,7 @@ def test_broken_folders_are_refused(folders, tmp_path, spoil: str, sentence: str
     assert sentence in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_device_that_is_not_there(folders) -> None:
+def test_missing_device_is_refused(folders) -> None:
     with pytest.raises(OptionError, match="cannot be used as Marigold"):
         load_model(folders[MARIGOLD], "a toaster")
 

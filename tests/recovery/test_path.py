@@ -106,7 +106,7 @@ def test_an_unwrapped_mesh_brings_its_own_uvs(capture):
     assert np.allclose(arrays(made.shape).uvs, old.uvs * 0.5)
 
 
-def test_both_sides_reflect_if_they_did(tmp_path):
+def test_two_sided_materials_stay_two_sided(tmp_path):
     both = {"type": "twosided", "bsdf": paint()}
     capture = render_ball(tmp_path, light(), both, views=1, resolution=(8, 8), spp=1)
     assert "TwoSided" in replace_material(capture, mi.load_dict(paint())).shape.bsdf().class_name()
@@ -189,7 +189,7 @@ def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
     assert 0.5 < together < 0.9
 
 
-def test_rays_are_those_of_the_cameras_pixels(capture):
+def test_rays_pass_through_their_pixels(capture):
     """Of views of several sizes, one of which is a crop window."""
     scene = mixed(capture)
     batches = PixelBatches(scene, 200)
@@ -294,7 +294,7 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
 
 
 @pytest.mark.slow
-def test_no_path_is_weighted_by_its_own_error(capture, grid):
+def test_gradient_paths_are_independent_of_the_loss(capture, grid):
     """With the truth, gradients of a squared loss vanish in the mean even for two noisy paths."""
     objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
 
@@ -314,7 +314,7 @@ def test_an_odd_number_of_paths_has_no_halves(capture, grid):
 
 
 @pytest.mark.slow
-def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
+def test_fixed_parameters_keep_their_values(capture, grid):
     fixed = Textures(**textures_of(grid))
     objective = path_objective(capture, grid, options(spp=64), fixed=fixed)
     whole = path_objective(capture, grid, options(spp=64))
@@ -364,7 +364,7 @@ def test_resumed_run_equals_uninterrupted_run(capture, grid, tmp_path):
 
 
 @pytest.mark.slow
-def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
+def test_descent_with_one_thread_is_reproducible(capture, grid):
     threads = dr.thread_count()
     dr.set_thread_count(1)
     try:

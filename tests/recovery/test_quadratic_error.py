@@ -105,7 +105,7 @@ def test_energy_and_its_derivatives_between_levels() -> None:
                                    atol=1e-5)  # fmt: skip
 
 
-def test_loss_hands_derivatives_to_textures() -> None:
+def test_loss_is_differentiable_in_textures() -> None:
     samples, values = columns(), parameters()
     factors, entries = factors_of(samples), upper(samples)
     place = np.random.default_rng(5).permutation(12)[:TEXELS]  # of 3 x 4 texels

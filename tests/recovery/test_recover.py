@@ -96,7 +96,9 @@ def alone(capture: Capture, grid: Texels) -> svu.Recovery:
     return svu.recover(capture, grid)
 
 
-def test_textures_come_back(alone: svu.Recovery, truth: Textures, grid: Texels) -> None:
+def test_recovery_finds_the_true_textures(
+    alone: svu.Recovery, truth: Textures, grid: Texels
+) -> None:
     assert psnr(alone.textures, truth, grid) > psnr(uniform_textures(grid), truth, grid) + 6
     assert alone.losses[-1] < alone.losses[0]
     assert (alone.coverage > 0).mean() > 0.9
@@ -108,14 +110,14 @@ def test_textures_come_back(alone: svu.Recovery, truth: Textures, grid: Texels) 
 
 
 @pytest.mark.slow
-def test_it_is_better_than_the_paper_s(
+def test_default_preset_beats_the_papers(
     capture: Capture, alone: svu.Recovery, truth: Textures, grid: Texels
 ) -> None:
     paper = svu.recover(capture, grid, preset="paper")
     assert psnr(alone.textures, truth, grid) > psnr(paper.textures, truth, grid) + 1
 
 
-def test_sharing_tells_materials_that_repeat_apart(
+def test_sharing_separates_repeated_materials(
     shared: svu.Recovery, alone: svu.Recovery, truth: Textures, grid: Texels
 ) -> None:
     assert psnr(shared.textures, truth, grid) > psnr(alone.textures, truth, grid) + 0.5
@@ -130,7 +132,7 @@ def test_sharing_tells_materials_that_repeat_apart(
 
 
 @pytest.mark.slow
-def test_recovery_goes_on_from_an_estimate(known: svu.Estimate, alone: svu.Recovery) -> None:
+def test_recovery_continues_from_an_estimate(known: svu.Estimate, alone: svu.Recovery) -> None:
     """The same as from the capture; of other presets and methods, too."""
     again = svu.recover(known)
     assert again.estimate is known
@@ -144,7 +146,7 @@ def test_recovery_goes_on_from_an_estimate(known: svu.Estimate, alone: svu.Recov
 
 
 @pytest.mark.slow
-def test_what_an_estimate_knows_stays(capture: Capture, grid: Texels) -> None:
+def test_known_parameters_of_an_estimate_stay_fixed(capture: Capture, grid: Texels) -> None:
     for name, value, preset in (
         ("metallic", 1.0, "default"), ("roughness", 0.5, "fixed"), ("base_color", 0.4, "default")
     ):  # fmt: skip
@@ -168,7 +170,7 @@ def only_metals() -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("preset", "robust"), [("default", 0), ("fast", 1), ("fixed", 0)])
-def test_a_prior_of_one_s_own_stays(
+def test_prior_of_the_estimate_is_kept(
     capture: Capture, grid: Texels, preset: str, robust: int
 ) -> None:
     """However often posteriors are made again."""

@@ -153,7 +153,7 @@ def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
     pytest.param(*asked, marks=[pytest.mark.slow] if asked[0] != "sh" else [])
     for asked in ASKED
 ])  # fmt: skip
-def test_a_run_uses_what_its_preset_says(seen, grid, recorded, method, name):
+def test_run_uses_the_options_of_its_preset(seen, grid, recorded, method, name):
     recovery = svu.recover(seen.observed, None, method, name)
     parts = expected(method, name)
     said = json.loads(json.dumps(recovery.settings))
@@ -234,7 +234,7 @@ def test_the_paper_s_presets_share_as_printed(seen, grid, recorded, method, name
     json.dumps(recovery.settings)
 
 
-def test_sharing_goes_on_from_power_spectra_that_are_there(seen, recorded):
+def test_sharing_reuses_existing_power_spectra(seen, recorded):
     own = svu.estimate(seen.observed, method="spectrum", preset=preset("paper", sigma=0.05))
     recovery = svu.recover(own, preset="paper", sharing=True)
     assert recorded.sharing[0].estimate is own
@@ -258,7 +258,7 @@ def test_known_roughness_reaches_the_papers_posterior(seen, recorded):
         svu.recover(few, preset="paper", sharing=True)
 
 
-def test_a_prior_in_common_is_no_empty_promise(seen, recorded):
+def test_losses_of_the_paper_can_use_a_common_prior(seen, recorded):
     """Losses of the paper do not know it by themselves; a weight of 0 is none."""
     mixed = replace(SH_PRESETS["paper"], common_prior=True, sharing=8.0)
     recovery = svu.recover(seen, sharing=True, sh=mixed)
@@ -267,7 +267,7 @@ def test_a_prior_in_common_is_no_empty_promise(seen, recorded):
     assert none.settings["sharing"] is False
 
 
-def test_a_rule_of_one_s_own_is_written_down(seen, recorded):
+def test_custom_sharing_is_recorded(seen, recorded):
     rule = GlobalSharing(seen, seeds=[3, 8], tau=0.3)
     recovery = svu.recover(seen, sharing=rule)
     assert recovery.settings["sharing"] == {
@@ -279,7 +279,7 @@ def test_a_rule_of_one_s_own_is_written_down(seen, recorded):
 # ---- checkpoints ----
 
 
-def test_whether_seeds_are_pulled_is_part_of_a_fingerprint(seen, capture, grid):
+def test_anchored_is_part_of_the_fingerprint(seen, capture, grid):
     rules = (GlobalSharing(seen, seeds=[3, 8], anchored=anchored) for anchored in (True, False))
     marks = [
         recovery_digests(capture, grid, None, rule, None)["seeds of sharing"] for rule in rules

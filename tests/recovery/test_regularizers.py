@@ -82,7 +82,7 @@ def variation(where, around, values, epsilon=1e-2) -> float:
 
 @pytest.mark.parametrize("channels", [3, 1, None, 5])
 @pytest.mark.parametrize("epsilon", [1e-2, 0.3])
-def test_total_variation_is_what_it_says(channels, epsilon):
+def test_total_variation_matches_its_definition(channels, epsilon):
     where, mesh = sphere()
     around = neighbors(where, mesh)
     values = a_texture(59120447, channels)
@@ -93,7 +93,7 @@ def test_total_variation_is_what_it_says(channels, epsilon):
     assert outside.any() and not gradient[outside].any()
 
 
-def test_texels_outside_the_charts_do_not_matter():
+def test_pixels_outside_charts_have_no_influence():
     where, mesh = sphere()
     values = a_texture(1287)
     other = values.copy()
@@ -144,7 +144,7 @@ def test_tv_in_texture_space_is_the_papers(scene, steps, channels):
     np.testing.assert_allclose(gradient.reshape(slope.shape), slope, atol=1e-5 * slope.max())
 
 
-def test_a_seam_is_an_edge_like_any_other():
+def test_total_variation_crosses_seams():
     """A stripe at the border of the map costs what it costs in its middle."""
     where, mesh = sphere()
     width, height = RESOLUTION
@@ -161,7 +161,7 @@ def test_a_seam_is_an_edge_like_any_other():
 
 
 @pytest.mark.parametrize("kind", ["tv", "sharing", "dragging"])
-def test_gradients_are_the_same_bit_by_bit(kind):
+def test_gradients_are_bitwise_reproducible(kind):
     where, mesh = sphere()
     regularizer = {
         "tv": lambda: TotalVariation(where, mesh),
@@ -204,7 +204,7 @@ def test_forward_derivatives_agree_with_backward_ones(kind):
 
 
 @pytest.mark.parametrize("kind", ["tv", "sharing"])
-def test_textures_that_do_not_fit_are_refused(kind):
+def test_textures_of_other_shapes_are_refused(kind):
     where, mesh = sphere()
     regularizer = TotalVariation(where, mesh) if kind == "tv" else GlobalSharing(materials(0))
     for shape in ((24, 16, 3), (16, 24, 3, 1), (384,), (16, 24, 0)):
@@ -303,7 +303,7 @@ def test_sharing_is_equation_14(divergence, anchored, channels):
     check_gradient(lambda x: shared(where, table, sharing.seeds, x, fixed), gradient, values, 12)
 
 
-def test_sharing_says_where_it_pulls():
+def test_sharing_weights_form_an_image():
     estimate, (where, _) = materials(41), sphere()
     sharing = GlobalSharing(estimate)
     image = sharing.image()
@@ -312,7 +312,7 @@ def test_sharing_says_where_it_pulls():
 
 
 @pytest.mark.parametrize("divergence", ["forward", "reverse"])
-def test_a_texel_is_pulled_to_the_seeds_it_may_be_like(divergence):
+def test_texels_are_pulled_to_plausible_seeds(divergence):
     """Of two certain materials, a third certain one is like neither."""
     where, _ = sphere()
     energies = np.full((where.count, *GRID.shape), 30.0)
@@ -330,7 +330,7 @@ def test_a_texel_is_pulled_to_the_seeds_it_may_be_like(divergence):
     assert (min(to_a[3], to_b[3]) > 0.9) == (divergence == "reverse")
 
 
-def test_seeds_pull_and_are_not_pulled():
+def test_anchored_seeds_have_no_gradient():
     estimate, (where, _) = materials(7), sphere()
     free, held = (GlobalSharing(estimate, seeds=[50], anchored=a) for a in (False, True))
     values = a_texture(40412)
@@ -339,7 +339,7 @@ def test_seeds_pull_and_are_not_pulled():
     assert np.abs(forces[0]).max() > 0.01 and not forces[1].any()
 
 
-def test_nothing_seen_shares_nothing():
+def test_sharing_without_observed_texels_is_zero():
     where, mesh = sphere()
     unseen = an_estimate(np.zeros((where.count, *GRID.shape)), np.zeros(where.count, bool), where)
     sharing = GlobalSharing(unseen, mesh)
@@ -348,7 +348,7 @@ def test_nothing_seen_shares_nothing():
     assert loss == 0 and not gradient.any()
 
 
-def test_a_single_texel_shares_with_itself():
+def test_single_texel_is_its_own_seed():
     mesh = make_mesh("ball", ball())
     where = texels(mesh, 1)
     estimate = an_estimate(np.zeros((1, *GRID.shape)), np.ones(1, bool), where)
@@ -420,7 +420,7 @@ def oracle_minima(
 @pytest.mark.parametrize("surface", [True, False])
 @pytest.mark.parametrize("steps", [3, 8, 1 << 40])
 @pytest.mark.parametrize("part", [1.0, 0.6, 0.0])
-def test_least_minima_are_those_of_a_walk_over_all_texels(scene, surface, steps, part):
+def test_least_minima_match_a_search_over_all_texels(scene, surface, steps, part):
     """With ties and without; over seams; unseen texels are never seeds and hide none."""
     where, mesh = scene()
     around = neighbors(where, mesh if surface else None)

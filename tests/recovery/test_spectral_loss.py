@@ -234,7 +234,7 @@ def test_coefficients_have_the_power_of_the_spectra(observed):
 # --- refusals -------------------------------------------------------------------------------
 
 
-def test_wrong_requests_are_named(observed):
+def test_invalid_spectral_losses_are_refused(observed):
     with pytest.raises(OptionError, match="preset 'default' has no fit; use preset"):
         angular_objective(observed, angular("default"))
 

@@ -74,7 +74,7 @@ def test_smoothing_solves_the_equations_of_the_field(fields: int) -> None:
 
 
 @pytest.mark.parametrize("few", [20, 600])
-def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> None:
+def test_multilevel_solver_needs_fewer_iterations(monkeypatch, few: int) -> None:
     """Where little is known of most texels, values come a long way."""
     side, sizes = 48, []
 
@@ -101,14 +101,14 @@ def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> 
     assert fine < 0.7 * taken
 
 
-def test_texels_that_stand_alone_are_not_grouped() -> None:
+def test_isolated_texels_are_not_grouped() -> None:
     squares = 2 * np.stack(np.divmod(np.arange(2**15), 256), axis=1)
     around = [dr.arange(mi.UInt32, len(squares))]
     alone = np.ones((1, len(squares)))
     assert Nested.of(Smoother.of(alone, alone, around, 1.0, EPSILON), squares).coarser is None
 
 
-def test_links_pull_at_both_ends_with_the_covariance_of_K() -> None:
+def test_sampled_links_have_covariance_K() -> None:
     smoother, matrix = made(fields=1)
     K = matrix[0] - np.diag(smoother.precision[0])
     random = np.random.default_rng(3)
@@ -145,7 +145,7 @@ def test_width_of_inverts_clipping() -> None:
     )
 
 
-def test_waves_are_a_field_of_their_correlation() -> None:
+def test_smooth_fields_have_a_gaussian_correlation() -> None:
     place = np.zeros((3, 5), np.float32)
     place[0] = np.array([0, 0.3, 0.8, 1.5, 4])
     random, drawn = np.random.default_rng(2), []
@@ -156,7 +156,7 @@ def test_waves_are_a_field_of_their_correlation() -> None:
     np.testing.assert_allclose(values.T @ values / len(values), wanted, atol=0.1)
 
 
-def test_information_is_the_slope_of_the_residuals() -> None:
+def test_information_is_the_gauss_newton_matrix() -> None:
     """Against second differences of the error where the residuals are straight."""
     samples = columns()
     entries, values = upper(samples), parameters()
@@ -210,7 +210,7 @@ def dense(field: TextureField, row: int) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_the_variance_of_the_field_is_that_of_its_inverse(recovered, inverses) -> None:
+def test_field_variance_is_the_diagonal_of_the_inverse(recovered, inverses) -> None:
     """The approximation by the lattice, against dense inverses: right on average."""
     for row, inverse in inverses.items():
         ratio = np.sqrt(recovered.field._variance[row] / np.diag(inverse))
@@ -218,7 +218,7 @@ def test_the_variance_of_the_field_is_that_of_its_inverse(recovered, inverses) -
         assert np.quantile(ratio, 0.02) > 0.6 and np.quantile(ratio, 0.98) < 1.6
 
 
-def test_the_field_says_of_every_texel_how_sure_it_is(recovered: SimpleNamespace) -> None:
+def test_field_has_standard_deviations_of_every_texel(recovered: SimpleNamespace) -> None:
     field, T = recovered.field, recovered.field.texels.count
     seen = recovered.recovery.coverage > 0
     for name in NAMES:
@@ -235,7 +235,7 @@ def test_the_field_says_of_every_texel_how_sure_it_is(recovered: SimpleNamespace
 
 
 @pytest.mark.slow
-def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered, draws) -> None:
+def test_draws_have_the_mean_and_sd_of_the_field(recovered, draws) -> None:
     """And neighbours are as alike as the field says."""
     field = recovered.field
     for name in NAMES:
@@ -259,7 +259,7 @@ def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.nda
 
 
 @pytest.mark.slow
-def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered, draws, inverses) -> None:
+def test_draws_have_the_correlation_of_neighbours(recovered, draws, inverses) -> None:
     """Dense: rho c c L L k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
     field = recovered.field
     row = 3  # roughness
@@ -295,7 +295,7 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered, draws, in
     assert np.abs(correlation - wanted).mean() < 0.08
 
 
-def test_draws_are_the_same_again_and_differ_by_seed(recovered: SimpleNamespace) -> None:
+def test_draws_depend_on_the_seed_only(recovered: SimpleNamespace) -> None:
     field = recovered.field
     first, again = list(field.draw(2, seed=7)), list(field.draw(1, seed=7))
     np.testing.assert_array_equal(np.array(first[0].roughness), np.array(again[0].roughness))
@@ -303,7 +303,7 @@ def test_draws_are_the_same_again_and_differ_by_seed(recovered: SimpleNamespace)
     assert list(field.draw(0)) == []
 
 
-def test_parameters_that_were_not_recovered_are_what_they_are(vase: SimpleNamespace) -> None:
+def test_parameters_not_recovered_have_no_deviation(vase: SimpleNamespace) -> None:
     recovery = recover(vase.estimate, parameters=("roughness",))
     field = texture_field(recovery, mesh=vase.capture.mesh)
     assert not field.sd("metallic").any() and field.sd("roughness").any()
@@ -311,7 +311,9 @@ def test_parameters_that_were_not_recovered_are_what_they_are(vase: SimpleNamesp
     np.testing.assert_array_equal(np.array(draw.metallic), np.array(recovery.textures.metallic))
 
 
-def test_what_makes_no_sense_is_refused(vase: SimpleNamespace, recovered: SimpleNamespace) -> None:
+def test_invalid_arguments_of_fields_are_refused(
+    vase: SimpleNamespace, recovered: SimpleNamespace
+) -> None:
     field = recovered.field
     with pytest.raises(OptionError, match="level must be in"):
         field.interval("roughness", 1.0)
@@ -327,7 +329,7 @@ def test_what_makes_no_sense_is_refused(vase: SimpleNamespace, recovered: Simple
 
 
 @pytest.mark.slow
-def test_pictures_are_less_sure_where_textures_are(
+def test_relit_sd_is_larger_for_uncertain_textures(
     vase: SimpleNamespace, recovered: SimpleNamespace
 ) -> None:
     field, sensors = recovered.field, vase.capture.sensors[:2]
