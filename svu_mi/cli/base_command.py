@@ -120,7 +120,7 @@ class ResultCommand(BaseCommand):
     overwrite: Overwrite = False
 
     def run(self, console: Console) -> int:
-        """Check the options, claim the folder, work, and print the results."""
+        """Check the options, claim the output folder, run ``work``, and print its lines."""
         self.check()
         with claimed(self.output, self.command, overwrite=self.overwrite, keep=self.keep) as place:
             self.start()

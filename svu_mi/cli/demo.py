@@ -1,4 +1,4 @@
-"""``svu demo``: the entropy of the vase that comes with svu_mi."""
+"""``svu demo``: entropy of the included vase."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``svu entropy``: the entropy of every texel."""
+"""``svu entropy``: entropy of each texel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``svu export``: recovered textures for other programs."""
+"""``svu export``: export of recovered textures to other programs."""
 
 from __future__ import annotations
 

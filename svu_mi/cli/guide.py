@@ -1,4 +1,4 @@
-"""``svu guide``: where to take the next photographs from."""
+"""``svu guide``: poses of the next photographs."""
 
 from __future__ import annotations
 

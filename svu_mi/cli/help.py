@@ -110,7 +110,8 @@ def _options(
         else:
             spec: Any = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kind, set()))
             flags += f" {config.metavar or spec.metavar}"
-        yield name, title, flags, f"{(config.help or texts[field]).rstrip('.')}{_default(default)}."
+        text = (config.help or texts[field]).replace("``", "").rstrip(".")
+        yield name, title, flags, f"{text}{_default(default)}."
 
 
 def _texts(source: Any) -> dict[str, str]:

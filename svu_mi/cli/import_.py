@@ -1,4 +1,4 @@
-"""``svu import``: captures of other tools as capture folders."""
+"""``svu import``: conversion of captures of other tools to capture folders."""
 
 from __future__ import annotations
 

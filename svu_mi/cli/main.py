@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; works with closed streams.
 
     Args:
-        arguments: words after ``svu`` (default: ``sys.argv[1:]``).
+        arguments: Words after ``svu`` (default: ``sys.argv[1:]``).
 
     Returns:
         0 on success, 2 on bad input (one line on stderr), 130 when interrupted.

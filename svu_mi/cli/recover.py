@@ -1,4 +1,4 @@
-"""``svu recover``: textures from photographs."""
+"""``svu recover``: recovery of textures from photographs."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Recover(CaptureCommand, ResultCommand):
     pictures: opt.Pictures = True
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
-        """Recover, and write the results."""
+        """Recover the textures, and write the results."""
         checkpoint = place.draft / CHECKPOINT
         self._check_checkpoint(checkpoint)
         with interruptible(partial(_advice, checkpoint)):

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from svu_mi.recovery.svbrdf_textures import Textures
 
 UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes
-SPECULAR = "specular"  # Ks, of the paper's power spectra
+SPECULAR = "specular"  # specular reflectance Ks of power spectra
 
 Output = Annotated[Path, arg(aliases=["-o"], metavar="FOLDER", help="Folder of the results.")]
 Overwrite = Annotated[
-    bool, arg(help="Write to a folder that contains other files, which is kept as NAME.before.")
+    bool, arg(help="Replace other files in the output path, which are kept as NAME.before.")
 ]
 Scene = Annotated[Path, Positional, arg(metavar="SCENE.xml")]
 Defines = Annotated[tuple[str, ...], arg(aliases=["-D"], metavar="KEY=VALUE"), UseAppendAction]

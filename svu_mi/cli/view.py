@@ -28,7 +28,7 @@ class View(EstimateCommand):
     resolution: opt.Size = ()
     """Texels per side, or width and height (default: as --recovered, else 512)."""
     port: int = 8080
-    """Port of the page on this machine, in [1, 65535]; the next free one if it is in use."""
+    """Port of the page on this machine, in [0, 65535], or the next free one; 0: any free port."""
     up: Literal["y", "z"] | None = None
     """Up axis of the world (default: inferred from the cameras)."""
 

@@ -117,7 +117,7 @@ class BatchRunner:
                 commands.end()
 
     def run_on_cluster(self, address: str, items: Sequence[BatchItem]) -> Iterator[Outcome]:
-        """Process captures on Dask workers, which share the file system; replace dead ones."""
+        """Process captures on Dask workers; tasks of workers that die are repeated by others."""
         with dask_client(address) as client:
             from distributed import KilledWorker, as_completed
 
@@ -143,7 +143,7 @@ class BatchRunner:
                 client.cancel(list(futures))
 
     def work(self, item: BatchItem, commands: CommandPool) -> Outcome:
-        """Run the missing steps of one capture; return errors as its ``sentence``."""
+        """Run the missing steps of one capture; return errors in ``Outcome.sentence``."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
         outcome, done = Outcome(item.name, folder), {}
