@@ -39,12 +39,9 @@ def tensor(
 ) -> Any:
     """Return ``values`` as a detached single-precision TensorXf of a given shape.
 
-    ``axes`` contains the length of each axis, or a name for an axis of any length. Errors name
-    ``caller`` and ``name``. Unless ``copy``, contiguous float32 input is aliased: the caller must
-    evaluate before it returns.
-
-    Raises:
-        ShapeError: ``values`` are not numbers, or have another shape.
+    ``axes`` contains the length of each axis, or a name for an axis of any length; a ShapeError
+    contains ``caller`` and ``name``. Unless ``copy``, contiguous float32 input is aliased: the
+    caller must evaluate before it returns.
     """
     if dr.is_tensor_v(values):
         out = dr.detach(mi.TensorXf(values))

@@ -18,10 +18,9 @@ def plain_name(name: str) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Return Markdown (MDX) that shows a text from elsewhere as it is.
+    """Escape a text from elsewhere for Markdown (MDX), which runs braces and tags as code.
 
-    The viewer's page would run braces and tags as code: all but letters, digits, spaces, dots and
-    hyphens become character references.
+    All characters but letters, digits, spaces, dots and hyphens become character references.
     """
     return re.sub(r"[^\w .-]|_", lambda match: f"&#{ord(match[0])};", plain_name(text))
 

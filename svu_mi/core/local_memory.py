@@ -35,14 +35,14 @@ def store(memory: list[Any], index: Any, block: Block) -> None:
 
 
 def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
-    """Scatter rows of channels to (texel, row, channel) memory, in the kernel of the rows."""
+    """Scatter rows of channels to (texel, row, channel), in the kernel that computes them."""
     values = [value for channels in rows for value in channels]
     return scatter_strided(target, values, texel * len(values), 1)
 
 
 @dr.syntax
 def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> Any:
-    """Scatter value k of each lane to ``start + k * stride``, in the kernel of the values."""
+    """Scatter value k of each lane to ``start + k * stride``, in the kernel that computes it."""
     # Outside of a symbolic loop, each scatter becomes a kernel that repeats the computation;
     # dr.concat compiles a kernel for each number of lanes.
     count, kind = len(values), type(target)

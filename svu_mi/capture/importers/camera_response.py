@@ -78,9 +78,6 @@ def read_response(path: Path) -> CameraResponse:
     The text file has one line ``ENCODED LINEAR`` or ``ENCODED R G B`` per sample, separated by
     blanks or commas; empty lines and comments (``#``) are ignored. Encoded values ascend from 0 to
     1, 255 or 65535. Linear values can have any unit, which may differ between channels.
-
-    Raises:
-        CaptureError: the file cannot be read, or has an invalid line.
     """
     rows: list[list[float]] = []
     for number, text in read_lines(path, "a response curve", FIX):

@@ -37,9 +37,6 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
         Radiance (N, W, 3) as float32, the rotation ``to_world`` (4, 4) of the emitter, and
         sentences about the map. A file with H rows has N = 2 H + 1 (every second row is original),
         N = H + 1 if H exceeds ``FINE``, or N = H if it was made for Mitsuba.
-
-    Raises:
-        CaptureError: the map is not a readable HDR lat-long map with finite, positive radiance.
     """
     if light.path.suffix.lower() not in SUFFIXES:
         raise CaptureError(

@@ -62,19 +62,15 @@ class ImportOptions:
     """
 
     mesh: str | Path | None = None
-    """Mesh of the object: GLB, glTF, OBJ, PLY or STL. Default: the mesh of the data set; most
-    sources have none and need this option."""
+    """Mesh file: GLB, glTF, OBJ, PLY or STL. Required, except for data sets that contain a mesh."""
     mesh_up: Up | None = None
-    """Up axis in the mesh file: y (glTF) or z. Default: no rotation. Set it with --world-up if mesh
-    and poses have different up axes."""
+    """Up axis in the mesh file, y (glTF) or z, if the poses have another one; needs --world-up."""
     world_up: Up | None = None
-    """Up axis of the poses: y or z (Blender, nerfstudio). Needs --mesh-up."""
+    """Up axis of the poses, y or z (Blender, nerfstudio), if the mesh has another one."""
     mesh_scale: float = 1.0
-    """Factor of the mesh's coordinates, above 0: units of the poses per unit of the mesh. 0.001 for
-    a mesh in mm and poses in m."""
+    """Units of the poses per unit of the mesh, above 0: 0.001 for a mesh in mm and poses in m."""
     geometry_only: bool = False
-    """Ignore UVs and textures of the mesh, and compute new UVs. Use it for several materials, or if
-    the UVs overlap."""
+    """Compute new UVs, and ignore textures: for overlapping UVs, or several materials."""
     environment: Light | None = None
     """Environment map. Default: the map of the data set, or no light."""
     exposures: str | Path | None = None

@@ -65,9 +65,6 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         path: path of a GLB, glTF, OBJ, PLY or STL file. Parts are transformed as in the file and
             merged. V has the direction of the format; in PLY, as in Mitsuba, or up with a texture.
         geometry_only: True to ignore UVs, textures and the number of materials.
-
-    Raises:
-        MeshError: the mesh is missing, damaged, too large or has unsupported features.
     """
     path = Path(path)
     files = _FolderResolver(path.parent)
@@ -214,9 +211,7 @@ def _parser_errors(path: Path) -> Iterator[None]:
     spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # values that are not finite or too large are refused later
+            warnings.simplefilter("ignore")  # invalid values are refused later
             yield
     except MeshError:
         raise

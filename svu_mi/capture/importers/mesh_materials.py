@@ -39,11 +39,7 @@ COMPRESSION = (
     "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression",
 )  # fmt: skip
 TRANSFORM = "KHR_texture_transform"
-IDENTITY = {
-    "offset": [0, 0],
-    "scale": [1, 1],
-    "rotation": 0,
-}  # values of a transform without effect
+IDENTITY = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # without effect
 FLOAT = 5126
 FREE = 2**20  # numbers in any file; larger counts must fit the file size
 ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")

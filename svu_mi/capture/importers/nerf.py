@@ -67,9 +67,6 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
         path: path of the file.
         original_world: True to undo nerfstudio's ``applied_transform``, for a mesh in the world of
             the photogrammetry tool.
-
-    Raises:
-        CaptureError: the file is damaged, or has invalid poses or intrinsics.
     """
     path = Path(path)
     record, frames = read_poses(path)
@@ -109,9 +106,6 @@ def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
     """Write frames as ``transforms.json``, with intrinsics per frame.
 
     Files in the folder of ``path`` get relative paths, others their name; they need not exist.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     root = Path(path).parent
     records = [_record(frame, root) for frame in frames]

@@ -45,20 +45,16 @@ class ReadOptions:
     format: Format = AUTO
     """Format of the source; auto detects it. Set it if the folder contains several formats."""
     images: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the photographs, such as images_4. Default: images (IDR: image)
-    near the poses."""
+    """COLMAP, LLFF, IDR: folder of the photographs. Default: images (IDR: image) near the poses."""
     masks: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the masks, white on the object. Default: masks (IDR: mask) near
-    the poses, if it exists."""
+    """COLMAP, LLFF, IDR: folder of the masks. Default: masks (IDR: mask) near the poses, if any."""
     split: str = "train"
     """Part of the data set: train, test, val, or X of transforms_X.json. Stanford-ORB: train, test,
     or the name of another capture of the same object."""
     environment_view: str | None = None
-    """Stanford-ORB: test photograph, such as 0003, whose environment map is the light. Default: the
-    first."""
+    """Stanford-ORB: test photograph whose environment map is the light. Default: the first."""
     original_world: bool = False
-    """Undo nerfstudio's applied_transform. Use it if the mesh comes from the photogrammetry before
-    nerfstudio."""
+    """Undo nerfstudio's applied_transform, for a mesh from the photogrammetry before nerfstudio."""
     normalized: bool = False
     """IDR, NeuS: convert poses to the unit sphere of scale_mat. Use it for meshes of NeuS."""
 

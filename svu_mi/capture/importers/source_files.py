@@ -22,10 +22,7 @@ def safe_path(root: Path, name: Any, label: str) -> Path:
     r"""Return the path of a file from its name relative to a folder; it need not exist.
 
     ``\`` also separates folders, as on Windows. Links are allowed: the owner of the folder made
-    them. ``label`` contains the file and frame for messages.
-
-    Raises:
-        CaptureError: the name is invalid, absolute, or leads out of the folder.
+    them. Other paths raise CaptureError; its message begins with ``label``, the file and frame.
     """
     if not isinstance(name, str):
         raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")
@@ -115,10 +112,8 @@ def find_mask(folder: Path, name: Path) -> Path | None:
 def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
     """Yield number and text of the non-empty lines of a file, without comments (``#``).
 
-    ``what``, such as ``a list of exposures``, and the remedy ``fix`` are parts of messages.
-
-    Raises:
-        CaptureError: the file is missing, larger than 16 MiB, or not text.
+    Files that are missing, larger than 16 MiB or not text raise CaptureError; its message contains
+    ``what``, such as ``a list of exposures``, and the remedy ``fix``.
     """
     try:
         if path.stat().st_size > LARGEST_TEXT:

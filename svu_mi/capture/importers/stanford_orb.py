@@ -85,10 +85,6 @@ def read_orb(
             ``novel`` views.
         environment_view: name of the test photograph, such as ``0003``, whose environment map is
             the light; the first one by default. Maps differ because people and clouds move.
-
-    Raises:
-        CaptureError: the folder is not of this data set, or damaged.
-        OptionError: ``split`` or ``environment_view`` does not exist.
     """
     path = Path(os.path.abspath(path))
     if split in ("train", "test"):
@@ -119,7 +115,7 @@ def read_orb(
 def read_views(path: str | Path, split: Split) -> tuple[OrbView, ...]:
     """Read the photographs of a split (``train``, ``test``, ``novel``) with their environments.
 
-    Photographs of ``train`` have no environment maps. Errors are as in ``read_orb``.
+    Photographs of ``train`` have no environment maps.
     """
     path = Path(os.path.abspath(path))
     if path.parent.name not in SUFFIXES:

@@ -3,8 +3,8 @@
     write_arrays("state.npz", {"step": np.array(3), "values/roughness": texture})
     read_arrays("state.npz")["step"]
 
-NumPy can read the file, too. It is not compressed, so that reading takes no more memory than the
-size of the file, and it contains a digest of its arrays. NPY and NPZ files of other programs can be
+NumPy can read the file, too. Arrays are not compressed, so that they take no more memory than the
+file, and the file contains their digest. NPY and NPZ files of other programs can be
 read, too: arrays of numbers up to a given size, no pickled objects.
 """
 
@@ -107,12 +107,9 @@ def read_foreign_array(path: Path, largest: int) -> np.ndarray:
 
 
 def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> dict[str, np.ndarray]:
-    """Read arrays of an ``.npz`` file of another program.
+    """Read the arrays of an ``.npz`` file of another program whose names match a pattern.
 
-    Args:
-        path: path of the file.
-        wanted: pattern of the whole names of the arrays.
-        largest: limit of bytes, of the file and of the uncompressed arrays together.
+    ``largest`` limits the bytes of the file, and of the uncompressed arrays together.
 
     Returns:
         float64 arrays of any shape by name; NaN and infinity are kept.

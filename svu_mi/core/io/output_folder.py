@@ -103,8 +103,8 @@ def claimed(
         keep: name pattern of files in the draft that are kept if the run fails, to resume it.
 
     Raises:
-        OutputError: the folder is not writable, contains other files than an older result of the
-            command, or another process is writing there.
+        OutputError: the folder is not writable, contains files that are not an older result of
+            the command, or another process is writing there.
     """
     if isinstance(folder, Claim):
         yield folder

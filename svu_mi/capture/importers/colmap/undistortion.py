@@ -41,11 +41,6 @@ def undistort(
 
     ``images`` and ``masks`` are folders as in ``project.read``. Without masks, alpha channels
     become masks.
-
-    Raises:
-        SvuEnvironmentError: pycolmap is not installed.
-        CaptureError: the project is damaged, or pycolmap does not support its cameras.
-        OutputError: the folder contains files, or cannot be written.
     """
     if importlib.util.find_spec("pycolmap") is None:
         raise SvuEnvironmentError(
