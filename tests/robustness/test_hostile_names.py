@@ -28,7 +28,7 @@ NAMES = (
     "![x](javascript:window.ran=1).png",
     "[x](javascript:window.ran=1) <svg onload=window.ran=1>",
     '"onmouseover="window.ran=1" x="',
-    r"$\frac{1}{0}$_^`code`**bold**.png",
+    r"$\frac{1$_^`code`**bold**.png",
 )
 RAN = "typeof window.ran !== 'undefined'"
 
