@@ -26,6 +26,7 @@ test-all: lint
 lint: .venv/installed-test
 	$(PY) -m ruff check .
 	$(PY) -m mypy
+	@$(PY) tests/support/prose.py
 
 docs: .venv/installed-docs
 	$(PY) -m sphinx --quiet --fail-on-warning --keep-going --conf-dir notebooks . out/docs

@@ -14,19 +14,30 @@ pytest.importorskip("myst_nb", reason="the extra docs is not installed")
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def pages(root, tmp_path_factory):
-    """Text of every page, by its name."""
-    folder = tmp_path_factory.mktemp("docs")
-    words = ["--quiet", "--fail-on-warning", "--keep-going", "--conf-dir", "notebooks"]
+def sphinx(root, folder, *words):
+    """Run Sphinx as ``make docs`` does, and return what it prints."""
     run = subprocess.run(
-        [sys.executable, "-m", "sphinx", *words, ".", folder],
+        [sys.executable, "-m", "sphinx", *words, "--quiet", "--conf-dir", "notebooks", ".", folder],
         cwd=root, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 0 and not run.stderr, run.stderr
+    return run.stdout
+
+
+@pytest.fixture(scope="module")
+def build(root, tmp_path_factory):
+    """Folder of the built pages."""
+    folder = tmp_path_factory.mktemp("docs")
+    sphinx(root, folder, "--fail-on-warning", "--keep-going")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(build):
+    """Text of every page, by its name."""
     return {
-        path.relative_to(folder).with_suffix("").as_posix(): path.read_text(encoding="utf-8")
-        for path in folder.rglob("*.html")
+        path.relative_to(build).with_suffix("").as_posix(): path.read_text(encoding="utf-8")
+        for path in build.rglob("*.html")
     }
 
 
@@ -42,6 +53,21 @@ def test_every_public_name_is_documented(pages):
     documented = set(re.findall(r'id="svu_mi\.([\w.]+)"', pages["notebooks/python"]))
     assert set(svu_mi.__all__) <= documented
     assert {"Posterior.entropy", "Estimate.image", "Preset.degree"} <= documented  # members, too
+
+
+def test_examples_of_the_reference_run(root, build, tmp_path):
+    sphinx(root, tmp_path, "--builder", "doctest", "--doctree-dir", build / ".doctrees")
+    results = (tmp_path / "output.txt").read_text(encoding="utf-8")
+    assert int(re.search(r"(\d+) tests?\n", results)[1]) > 100
+    assert "    0 failures in tests" in results
+
+
+def test_every_public_name_has_an_example():
+    import svu_mi
+
+    need_weights = {"DiffusionOptions", "fill_by_diffusion"}
+    docs = {name: getattr(svu_mi, name).__doc__ for name in svu_mi.__all__}
+    assert {name for name, doc in docs.items() if ">>>" not in doc} <= need_weights
 
 
 def test_every_command_is_documented(pages):

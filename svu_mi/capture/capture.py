@@ -51,7 +51,7 @@ class Capture:
         light_uncertainty: Uncertainty of an estimated light; None if the light was given.
         found_light: The ``LightEstimate`` in use (see ``with_light``); None if the light was given.
         buffer: Contiguous pixels of ``images`` for kernels; None for captures made in memory.
-            Ignored if ``images`` are not its views.
+            Ignored if ``images`` are other arrays.
 
     Example:
         >>> capture.count

@@ -177,7 +177,10 @@ class _HypothesisLanes:
     def products(
         self, sums: list[Any], lobes: Lobes, mixed: Any, shown: PredictedSample | None
     ) -> list[Any]:  # fmt: skip
-        """Add w slope^2, w slope rest and w rest^2 of a view to a row; ``shown`` None adds 0."""
+        """Add a view's three sums to a row: w slope^2, w slope * rest, w rest^2.
+
+        Nothing is added if ``shown`` is None.
+        """
         if shown is None:
             return sums
         weight, radiance = shown

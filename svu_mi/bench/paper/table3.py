@@ -100,7 +100,7 @@ class Table3(CaseSubject):
 
     @cached_property
     def observed(self) -> Estimate:
-        """Estimate by the paper's spectra, which other estimates continue."""
+        """Estimate by the paper's power spectra; the others reuse its rays."""
         return estimate(self.capture, self.layout, "spectrum", "paper")
 
     @cached_property

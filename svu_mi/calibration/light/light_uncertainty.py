@@ -152,8 +152,12 @@ def _slope_and_covariance(
 
 
 class LightSamples(NamedTuple):
-    """Posterior samples (K, N, 3) of log radiance at the level of the mean, and standard deviations
-    (N,) of the channel mean of a cell, relative to the level."""
+    """Posterior samples of the light, normalised to the mean brightness of the estimate.
+
+    Attributes:
+        draws: (K, N, 3) log radiance of N cells.
+        cell_sd: (N,) relative standard deviations of the mean over channels.
+    """
 
     draws: np.ndarray
     cell_sd: np.ndarray

@@ -142,7 +142,7 @@ def _numbers(data: bytes) -> np.ndarray:
         warnings.simplefilter("ignore")
         array = _array(data)
         if array.dtype.kind not in "fiu":
-            raise ValueError(f"it holds {array.dtype}, not real numbers")
+            raise ValueError(f"its type is {array.dtype}; expected real numbers")
         return array.astype(np.float64)
 
 

@@ -110,7 +110,7 @@ class Fusion:
     def __init__(
         self, field: TextureField, shown: np.ndarray, start: TextureField | None = None
     ) -> None:
-        """Start with the values of ``start``, such as a filled field, or of ``field``."""
+        """Copy the values of ``start``, such as a filled field (default: ``field``)."""
         start = field if start is None else start
         self.field, self.shown = field, shown
         self.values, self.least = start.values.copy(), start.width.copy()

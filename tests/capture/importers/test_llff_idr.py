@@ -304,7 +304,7 @@ BAD_ROWS = {
     "NaN": (changed(6, np.nan), "pose 1: a number is NaN"),
     "infinite": (changed(14, np.inf), "pose 1: a number is NaN, infinite or too large"),
     "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
-    "words": (np.full((3, 17), "a"), "it holds <U1, not real numbers"),
+    "words": (np.full((3, 17), "a"), "its type is <U1; expected real numbers"),
     "complex": (changed(3, 1).astype(complex), "it holds complex128, not real"),
     "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
     "parts of pixels": (changed(4, 23.5), "pose 1: a photograph of 40 x 23.5 pixels; the last"),
