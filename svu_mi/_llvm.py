@@ -60,7 +60,7 @@ _status: LlvmStatus | None = None
 
 
 def bootstrap() -> None:
-    """Choose a library and set the variable that Dr.Jit reads; called by ``import svu_mi``.
+    """Choose a library on ``import svu_mi`` and set the variable of Dr.Jit.
 
     Raises:
         SvuEnvironmentError: an LLVM variant is set, and its library would abort the process.
@@ -80,7 +80,7 @@ def status() -> LlvmStatus:
 
 
 def require() -> None:
-    """Raise an error without a usable LLVM; call before the first kernel of an LLVM variant.
+    """Raise an error without a usable LLVM; call before the first LLVM kernel.
 
     Raises:
         SvuEnvironmentError: no usable LLVM; the message contains the remedy for this system.
@@ -91,7 +91,7 @@ def require() -> None:
 
 
 def remedy() -> str:
-    """Return installation instructions for this operating system, as the end of a sentence."""
+    """Return installation instructions for this system, as the end of a sentence."""
     if sys.platform == "darwin":
         return "use the variant metal_ad_rgb, or run 'brew install llvm'."
     if sys.platform == "win32":
@@ -158,7 +158,7 @@ def judge_given(given: str) -> LlvmStatus:
 
 
 def first_usable(candidates: Iterable[tuple[str, str]]) -> LlvmStatus:
-    """Return the first candidate that is new enough; without one, a status with ``problem``."""
+    """Return the first candidate that is new enough, or a status with ``problem``."""
     refused = None
     for source, path in candidates:
         version = version_of(path)

@@ -1,4 +1,4 @@
-"""Exceptions and warnings of svu_mi; each message names the file, frame or texel, and the remedy.
+"""Exceptions and warnings, whose messages contain the location and the remedy.
 
 The command line prints the message and exits with status 2. Python callers catch ``SvuError`` or
 one of its subclasses. Warnings derive from ``SvuWarning`` and use the ``warnings`` module.

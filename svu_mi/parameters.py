@@ -1,4 +1,4 @@
-"""Table of the estimated material parameters, named as in Mitsuba's ``principled`` BSDF.
+"""Table of the estimated parameters of Mitsuba's ``principled`` BSDF.
 
 Posteriors treat three kinds of parameters differently. Radiance is linear in ``base_color``, which
 is integrated in closed form. ``roughness`` changes the lobes, so statistics are gathered at fixed

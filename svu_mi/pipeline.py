@@ -114,7 +114,7 @@ def estimate(
 def _observations(
     source: Capture | Observed | Estimate, texels: Texels, skip: Skip, progress: Progress
 ) -> Observed:
-    """Return observations with the light loaded; trace visibility if ``source`` is a capture."""
+    """Return the ``Observed`` of ``source``, with the light loaded."""
     require_light(capture_and_texels(source, texels)[0])
     observed = observations_of(source, texels, progress, skip)
     with progress.stage("Reading the light"):
@@ -140,7 +140,7 @@ def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimat
 
 
 def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Compare photographs with the reflection model by statistics of all views (Eq. 3 to 6)."""
+    """Return the posterior from statistics of all views (Eq. 3 to 6)."""
     observed, progress = inputs.observed, inputs.progress
     # Unseen texels count, too: the memory estimate is printed before visibility is traced.
     if observed.texels.count > TILE:
@@ -154,7 +154,7 @@ def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Poster
 
 
 def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
-    """Compare the power spectra of photographs and of the light they mirror (Sec. 3.3)."""
+    """Return the posterior from power spectra (Sec. 3.3)."""
     observed, plan, progress = inputs.observed, inputs.plan, inputs.progress
     irradiance = None
     if isinstance(inputs.grid, PrincipledGrid):

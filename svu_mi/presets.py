@@ -1,4 +1,4 @@
-"""Presets: frozen options of each method, with valid ranges and the reason of each default.
+"""Presets: frozen options of each method, with ranges and reasons.
 
 ``paper`` is the published method. ``default`` is the most accurate; the same values serve all
 scenes. ``fast`` is less accurate. ``fixed`` (angular only) assumes a noise of 8 % of the mean
@@ -124,7 +124,7 @@ class Preset(_Channels):
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Options of the spherical harmonic fit of each texel's light (Eq. 12); defaults as printed.
+    """Options of the SH fit of each texel's light (Eq. 12); defaults as printed.
 
     Samples are the directions that the texel mirrors into the v photographs. The light is first
     band-limited at alpha' = v^(-1/2) (Sec. 3.3.2).
@@ -401,7 +401,7 @@ def preset(
 
 
 def _require(name: str, method: str, what: str, known: dict[str, list[str]]) -> None:
-    """Raise an error if a method lacks a name; the message includes the method that has it."""
+    """Raise an error if a method lacks a name, and suggest the method that has it."""
     if name not in known[method]:
         others = [other for other in known if name in known[other]]
         raise OptionError(

@@ -33,7 +33,7 @@ def _subtract_outer(tile: Block, a: Block, b: Block, size: int, lower: bool = Fa
 
 
 def _factor(tile: Block, size: int) -> Block:
-    """Return the Cholesky factor of a diagonal tile, with reciprocals 1 / L_jj on the diagonal."""
+    """Return the Cholesky factor of a diagonal tile, with 1 / L_jj on the diagonal."""
     out = list(tile)
     for j in range(size):
         pivot = dr.rcp(dr.sqrt(out[j * size + j]))
@@ -95,7 +95,7 @@ def factor_and_forward(
     matrix: Callable[[Any, Any, bool], Block] | None = None,
     right: Callable[[Any], Block] | None = None,
 ) -> tuple[list[Any], list[Any]]:
-    """Factorise M = L L^T and solve L z = b; return ``lower`` (L) and ``solution`` (z), filled.
+    """Factorise M = L L^T and solve L z = b; return L in ``lower``, z in ``solution``.
 
     Tile (i, j) of L is at i (i + 1) / 2 + j; z has ``size`` rows per tile row. ``matrix(i, j,
     diagonal)`` returns a tile of M, padded with the identity; ``right(i)`` returns rows of b,

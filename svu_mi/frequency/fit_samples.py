@@ -1,4 +1,4 @@
-"""Samples and fits of Eq. 12: radiance of texels, and light from their mirror directions."""
+"""Samples and fits of Eq. 12: radiance of texels, and mirrored light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Regularised spherical harmonic fit of scattered samples, one system per lane (Eq. 12).
+"""Regularised spherical harmonic fit of scattered samples (Eq. 12).
 
     (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
 
@@ -41,7 +41,7 @@ VIEWS_PER_COEFFICIENT = 2.5
 
 
 def fit_lanes(sample: ReadSample, views: Any, system: FitSystem, capacity: int) -> list[list[Any]]:
-    """Fit Eq. 12 in each lane; return (degree + 1)^2 coefficients, each ``channels`` Floats.
+    """Fit Eq. 12 in each lane; return (degree + 1)^2 coefficients of C Floats.
 
     ``sample(view)`` returns unit direction, weight w (0: unseen) and values. Coefficient (l, m) is
     at l*l + l + m; it is 0 in lanes without views. ``capacity`` is the maximum number of visible
@@ -66,7 +66,7 @@ class SolverGroup:
 
 
 def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[SolverGroup]:
-    """Group texels with views by the fastest solver, or select ``primal`` or ``dual`` for all."""
+    """Group texels by the fastest solver; ``primal`` or ``dual`` selects one."""
     counts = np.asarray(visible).reshape(-1)
     limits = {
         "auto": min(int(VIEWS_PER_COEFFICIENT * (degree + 1) ** 2), AUTO_CAPACITY),
@@ -201,7 +201,7 @@ def _check_size(*counts: int) -> None:
 
 
 def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
-    """Return the number of visible views of each texel; raise an error if a sample is invalid."""
+    """Return numbers of visible views; raise an error if a sample is invalid."""
     visible, first_bad = _count_visible(samples.at, dr.arange(mi.UInt32, texels), samples.views)
     dr.eval(visible, first_bad)
     bad = first_bad.numpy()
@@ -220,7 +220,7 @@ def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
 
 @dr.syntax
 def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
-    """Return the number of visible views and the first invalid view (or ``views``) per texel."""
+    """Return numbers of visible views, and first invalid views (or ``views``)."""
     visible, first_bad = mi.UInt32(0), mi.UInt32(views)
     view = mi.UInt32(0)
     while view < views:

@@ -1,4 +1,4 @@
-"""Primal solver of Eq. 12: normal equations with (degree + 1)^2 unknowns, any number of views.
+"""Primal solver of Eq. 12: normal equations with (degree + 1)^2 unknowns.
 
 ``fit_candidates`` also returns fits with one additional sample, for each of several candidates.
 With A = Y^T W^2 Y + lambda R factorised once, a sample with basis values y, weight w and value f
@@ -150,7 +150,7 @@ def fit_candidates(
     known: tuple[ReadSample, Any], added: tuple[ReadSample, Any], system: FitSystem,
     take: TakeSpectrum,
 ) -> list[list[Any]]:  # fmt: skip
-    """Return the spectrum of the ``known`` samples; call ``take`` with each candidate added.
+    """Return the ``known`` samples' spectrum; call ``take`` with each candidate.
 
     ``known`` and ``added`` are sample functions and numbers of samples.
     """

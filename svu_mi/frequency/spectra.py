@@ -1,4 +1,4 @@
-"""Spherical harmonic fits and power spectra of each texel's radiance and mirrored light."""
+"""Spherical harmonic fits and power spectra of radiance and mirrored light."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from svu_mi.presets import Preset
 
 @dataclass(frozen=True)
 class Spectra:
-    """Power spectra of the light and of radiance, TensorXf (T, l* + 1, C) in squared radiance."""
+    """Power spectra of light and radiance, (T, l* + 1, C) in squared radiance."""
 
     incoming: Any
     outgoing: Any
@@ -31,7 +31,7 @@ def fit_spectra(
     light_channels: int | None = None,
     skip_unseen: bool = True,
 ) -> Spectra:
-    """Return the power spectra of all texels; one kernel per solver, without stored samples."""
+    """Return the power spectra of all texels, without storing samples."""
     colors = channels or switches.colors
     light = light_channels or colors
     counts = np.maximum(observed.visibility.coverage.numpy(), 0 if skip_unseen else 1)
@@ -49,7 +49,7 @@ def fit_spectra(
 
 @dataclass(frozen=True)
 class Coefficients:
-    """SH coefficients of radiance (C channels) and mirrored light (C' channels) of T texels.
+    """SH coefficients of radiance (C channels) and mirrored light (C') of T texels.
 
     Attributes:
         values: (K (C + C') T,) Float, radiance by l*l + l + m, channel, texel; 0 where unseen.

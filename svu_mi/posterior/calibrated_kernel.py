@@ -68,7 +68,7 @@ class PosteriorSummary:
 
 @dataclass
 class MomentSums:
-    """Weighted sums of parameters and of their squares over nodes: a Float64 per parameter."""
+    """Weighted sums of parameters and their squares: a Float64 each."""
 
     sums: list[Any]
     squares: list[Any]
@@ -290,7 +290,7 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
 
 
 def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> Any:
-    """Return unnormalised masses of a parameter's N nodes for t texels, in ``texel_blocks``."""
+    """Return masses of a parameter's N nodes for t texels, in ``texel_blocks``."""
     number, place = problem.axis(name).count, None
     if name in MIXED:
         nodes = np.unravel_index(np.arange(problem.mixed.count), problem.mixed.shape)

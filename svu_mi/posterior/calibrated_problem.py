@@ -22,7 +22,7 @@ NEVER = 1e30  # stands for -log 0
 
 @dataclass(frozen=True)
 class CalibratedProblem:
-    """Inputs of a calibrated posterior; a row is a bin of roughness and the mixing parameters.
+    """Inputs of a calibrated posterior. Rows are bins of all but base colour.
 
     Attributes:
         copies: number of equal colour channels per channel of the factors.
@@ -84,7 +84,7 @@ class CalibratedProblem:
 
 @dataclass(frozen=True)
 class NodeValues:
-    """Values of a parameter at N nodes, and variances within each node's part: (N,) Floats."""
+    """Values of a parameter at nodes, and variances in their parts: (N,) Floats."""
 
     value: Any
     variance: Any

@@ -1,4 +1,4 @@
-"""Prior of an object's materials, learned from all texels (empirical Bayes [Robbins 1956]).
+"""Prior learned from all texels of an object (empirical Bayes [Robbins 1956]).
 
 Expectation maximisation [Dempster, Laird and Rubin 1977] finds the prior of largest likelihood. In
 each step the new prior is the mean of the posteriors under the current one,
@@ -35,7 +35,7 @@ LEAST = 1e-30  # replaces 0 in a logarithm
 def with_empirical_prior(
     posterior: Posterior[CalibratedKernel], rounds: int = ROUNDS
 ) -> Posterior[CalibratedKernel]:
-    """Return the posterior under a prior learned by ``rounds`` of expectation maximisation.
+    """Return the posterior under a prior learned by expectation maximisation.
 
     R, G and B have separate base colour priors, given all other parameters. Bins that the present
     prior excludes stay excluded. A posterior with a learned prior is returned unchanged.
@@ -60,7 +60,7 @@ def with_empirical_prior(
 
 
 def _sharpened(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
-    """Sharpen the mean posterior, (R, M, K, C), and mix it with the original prior ``alone``."""
+    """Sharpen the mean posterior, (R, M, K, C), and mix it with the prior ``alone``."""
     sharp = mean**SHARPNESS
     result = (1 - OTHERWISE) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
     result += OTHERWISE * alone

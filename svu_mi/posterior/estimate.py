@@ -1,4 +1,4 @@
-"""Result of an estimate; the starting point of recovery, guidance and further estimates."""
+"""Result of an estimate, from which later stages start."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
 
 
 def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Return the posterior from factors of all texels; sums and light visibility are per tile."""
+    """Return the posterior of all texels, with sums of one tile at a time."""
     seen, texels = inputs.observed, inputs.observed.seen
     if not _uses_all(seen, switches):
         texels = np.flatnonzero(seen.coverage)
@@ -163,7 +163,7 @@ def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:
 
 
 def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
-    """Return the roughness levels of the statistics: even levels, or the planned grid nodes."""
+    """Return the statistics' roughness levels: even, or planned grid nodes."""
     nodes = inputs.grid.roughness_nodes
     if switches.noise == "estimated" and len(nodes) > 1:
         return np.linspace(0, 1, switches.levels)

@@ -119,7 +119,7 @@ class Kernel(ABC):
         return found
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals, (t,), of the channel with the largest deviation."""
+        """Return half the widths of intervals, (t,), of the most uncertain channel."""
         low, high = self.ends(name, level, texels)
         half = (high - low) / 2
         widest = 0 if half.shape[1] == 1 else self.moments(name, texels)[1].argmax(axis=1)
@@ -202,7 +202,7 @@ def require_scale(caller: str, scale: float) -> None:
 
 
 def observed_by(caller: str, factors: Factors, copies: int, texels: int | None) -> np.ndarray:
-    """Return a mask of seen texels, (T,) bool; T defaults to the largest texel number plus one."""
+    """Return a mask of seen texels, (T,) bool; default T: the largest index plus one."""
     texel = factors.texel.numpy()
     last = int(texel.max()) if len(texel) else -1
     total = last + 1 if texels is None else texels

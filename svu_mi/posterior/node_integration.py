@@ -138,7 +138,7 @@ class NodeIntegrator:
         return self.problem.copies * sum(energies)
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
-        """Return min(``best``, energy of a node relative to ``min_energy``, with prior): Float."""
+        """Return min(``best``, node's energy with prior above ``min_energy``): Float."""
         energy, parts = self._channels(U, row, column)
         if self.problem.color_prior is not None and not self._color_is_known:
             energy = dr.if_stmt(

@@ -101,7 +101,7 @@ class Observed:
 
     @cached_property
     def unit(self) -> float:
-        """Radiance unit of noise: mean of the photographs; of the light (1 %) if they are black."""
+        """Radiance unit: mean of the photographs; 1 % of the light's if they are black."""
         return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
     @property
@@ -174,7 +174,7 @@ class Observed:
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
     ) -> MirroredLight | None:
-        """Return the light that texels (default: ``seen``) mirror into views; None without fit."""
+        """Return the light that texels mirror into views; None without a fit."""
         if fit is None:
             return None
         return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
@@ -285,7 +285,7 @@ def observe(
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
-    """Check (V,) numbers of texels that photographs show: warn of zeros, raise if all are 0."""
+    """Check (V,) numbers of visible texels: warn of zeros, raise if all are 0."""
     if not counts.any() and clipped:
         raise CaptureError(
             f"All texels of '{capture.shape.id()}' are saturated in all {len(counts)} photographs; "

@@ -164,7 +164,7 @@ class Posterior(Generic[K]):
         return {name: self._shaped(name, table) for name, table in found.items()}
 
     def marginal_entropy(self, name: str) -> Any:
-        """Return the entropy of a marginal relative to log(nodes): (T,), or (T, 3) per channel.
+        """Return the normalised entropy of a marginal, (T,), or (T, 3) per channel.
 
         0 for known parameters, also in unseen texels.
         """
@@ -340,7 +340,7 @@ class Posterior(Generic[K]):
         return _tensor(values.copy() if own else values[..., 0].copy())
 
     def kl(self, other: Posterior) -> Any:
-        """Return the divergences KL(p || q) of T texels p from T' texels q of ``other``, (T, T').
+        """Return KL(p || q) of each texel p to each texel q of ``other``, (T, T').
 
         Channels are averaged (Sec. 5.2); probabilities below 1e-30 count as 1e-30.
 
@@ -372,7 +372,7 @@ class Posterior(Generic[K]):
 
 
 def _best_of_prior(prior: np.ndarray) -> np.ndarray:
-    """Return the index, (axes,), of the most probable bin of a prior (see ``Posterior.map``)."""
+    """Return the index, (axes,), of a prior's best bin (see ``Posterior.map``)."""
     # Equal probabilities can differ by rounding to single precision.
     likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
     away = likely - (np.array(prior.shape) // 2 if len(likely) == prior.size

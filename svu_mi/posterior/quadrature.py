@@ -115,7 +115,7 @@ class ProductAxis:
 
 
 def bin_edges(nodes: np.ndarray) -> np.ndarray:
-    """Return the (N + 1,) edges of the bins of N nodes on [0, 1]; two equal edges if N is 1."""
+    """Return the (N + 1,) edges of N bins on [0, 1]; two equal edges if N is 1."""
     if len(nodes) == 1:
         return np.repeat(nodes, 2)
     return np.concatenate([[0.0], (nodes[1:] + nodes[:-1]) / 2, [1.0]])
@@ -133,7 +133,7 @@ def bin_axis(nodes: np.ndarray) -> QuadratureAxis:
 
 
 def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
-    """Divide the bins of (N,) nodes evenly into at least ``parts`` parts; one part if N is 1."""
+    """Divide the bins of N nodes into at least ``parts`` parts; one if N is 1."""
     if len(nodes) == 1:
         return QuadratureAxis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
     per_half = max(1, -(-parts // (2 * (len(nodes) - 1))))

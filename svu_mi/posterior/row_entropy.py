@@ -2,7 +2,7 @@
 
 A row is a bin of the parameters that all channels share (roughness and metallic, or roughness).
 Bins of a row differ in the last parameter (base colour or Ks). Each group of channels has a
-separate value of it, independent of the other groups given the row. The entropy is computed over
+separate value, independent of the other groups given the row. The entropy is computed over
 (row, last parameter) for each group and averaged.
 """
 

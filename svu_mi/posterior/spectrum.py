@@ -188,7 +188,7 @@ def _spectrum(name: str, values: Any) -> Any:
 def spectrum_grid(
     grid: Any | None, switches: Preset, *, irradiance: bool = True
 ) -> ParameterGrid | PrincipledGrid:
-    """Return ``grid``, or the preset's; check that a ``PrincipledGrid`` has the irradiance."""
+    """Return ``grid`` or the preset's; a ``PrincipledGrid`` requires irradiance."""
     if grid is None:
         grid = PrincipledGrid() if irradiance and switches.principled else ParameterGrid()
     if isinstance(grid, ParameterGrid):
@@ -216,7 +216,7 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
 
 
 def decay(switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float) -> np.ndarray:
-    """Return q = exp(-2 alpha^2), (R,); the power of degree l is scaled by q^(l^2) (Eq. 11)."""
+    """Return q = exp(-2 alpha^2), (R,); degree l is scaled by q^(l^2) (Eq. 11)."""
     of_roughness = alpha_from_roughness if switches.bounded_alpha else paper_alpha
     width = of_roughness(grid.roughness_nodes) ** 2
     if switches.undo_prefilter:

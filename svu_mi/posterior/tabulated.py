@@ -49,7 +49,7 @@ class TabulatedKernel(GridKernel):
 def tabulated_posterior(
     energies: np.ndarray, grid: Grid, observed: np.ndarray
 ) -> Posterior[TabulatedKernel]:
-    """Return the posterior of (T, *grid) float64 energies -log p, finite where ``observed``."""
+    """Return the posterior of (T, *grid) energies -log p, finite if ``observed``."""
     shape = (len(observed), *grid.shape)
     if energies.shape != shape:
         raise ShapeError(f"tabulated_posterior(): energies must be {shape}, got {energies.shape}.")

@@ -1,4 +1,4 @@
-"""Posterior of one channel of base colour in closed form: a normal distribution on [0, 1].
+"""Posterior of a base colour channel: a normal distribution on [0, 1].
 
 Given roughness and metallic, the energy of a channel is quadratic in its base colour c,
 
@@ -97,7 +97,7 @@ class ChannelLikelihood:
         return self._integrals(mass, parts, mean, variance)
 
     def _whole(self, kind: Any) -> tuple[Any, ...]:
-        """Return the tails above y = 0 and y = 1, their difference, and mean and variance of y."""
+        """Return tails above y = 0 and y = 1, difference, and mean and variance of y."""
         first, last = self._tail(kind(0)), self._tail(kind(1))
         whole = first.beyond - last.beyond
         mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
@@ -114,7 +114,7 @@ class ChannelLikelihood:
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """Integrate as ``integrate_with_prior``, 5 x faster; densities must exceed FULL_SUPPORT."""
+        """Integrate 5 x faster than ``integrate_with_prior``, above FULL_SUPPORT."""
         first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
@@ -228,7 +228,7 @@ class ChannelLikelihood:
         )
 
     def _tail(self, y: Any, best: Any | None = None) -> _Tail:
-        """Return density and tails at y, relative to the density at ``best``; Float or Float64."""
+        """Return density and tails at y, relative to the density at ``best``."""
         kind = type(y)
         mu, s = kind(self.mu), kind(self.s)
         best = dr.maximum(mu, 0) if best is None else best

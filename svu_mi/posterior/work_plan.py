@@ -1,4 +1,4 @@
-"""Plan of an estimate: channels, roughness levels and parameters that need no computation.
+"""Plan of an estimate: channels and roughness levels to compute.
 
 Degrees above the band limit of the light are not skipped, because samples on a part of the sphere
 leak power into them (notebooks/design/reflection.md).
@@ -47,7 +47,7 @@ def make_plan(
     grid: ParameterGrid | PrincipledGrid,
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
-    """Return the plan and log skipped work; ``prior`` are tables of ``row_entropy.log_prior``."""
+    """Return the plan and log skipped work; ``prior`` are ``log_prior`` tables."""
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
     # Grey photographs under coloured light need all three channels.
     grey = grey_light and observed.views.grey
@@ -82,7 +82,7 @@ def make_plan(
 def with_known(
     grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | str | None, shape: Any
 ) -> Any:
-    """Return the grid with ``known`` values, or with the scene's constants for ``"scene"``."""
+    """Return the grid with known values; ``"scene"``: the material's constants."""
     constants = constant_parameters(shape)
     constants = {name: value for name, value in constants.items() if name in grid.axes}
     if isinstance(known, str):

@@ -19,7 +19,7 @@ def combine_parts(
     diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
     light: list[Any],
 ) -> list[Parts]:  # fmt: skip
-    """Return the parts of each channel from diffuse shading (a, b), albedos and lobe light."""
+    """Return parts by channel from diffuse shading (a, b), albedos and lobe light."""
     A, B, D = reflected
     return [
         (dr.fma(roughness, b, a), A * value, B * value, D * value)

@@ -66,7 +66,7 @@ class NarrowLobes:
         )
 
     def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
-        """Return reflected light, by width; ``free`` is the visibility of the mirror direction."""
+        """Return reflected light by width; ``free``: mirror direction unoccluded."""
         mirror = mirror_direction(normal, direction)
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):

@@ -36,7 +36,7 @@ def alpha_from_roughness(roughness: Any) -> Any:
 
 
 def columns(e: Any, p: Any, q: Any, d: Any, observed: Any = 0) -> tuple[Any, ...]:
-    """Return the columns whose mixture is r - b, for the ``observed`` radiance b (``Mixture``)."""
+    """Return the columns of r - b, for the ``observed`` radiance b (``Mixture``)."""
     return e, p, q - d, d - observed
 
 
@@ -59,7 +59,7 @@ class Mixture:
 
 
 def mixture(metallic: Any) -> Mixture:
-    """Return the coefficients of the columns from the mixing parameters, in order of ``MIXED``."""
+    """Return the coefficients of the columns from the parameters in ``MIXED``."""
     return Mixture((1 - metallic, metallic, 0, 0), (0, 0, metallic, 1))
 
 
@@ -69,7 +69,7 @@ def paper_mixture(specular: Any) -> Mixture:
 
 
 def mixture_derivative(values: Sequence[Any], which: int) -> Mixture:
-    """Return the derivative of ``mixture`` with respect to parameter ``which``; it is affine."""
+    """Return the derivative of the affine ``mixture`` for parameter ``which``."""
     low, high = (
         mixture(*(end if k == which else value for k, value in enumerate(values))) for end in (0, 1)
     )

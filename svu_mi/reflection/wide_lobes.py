@@ -1,4 +1,4 @@
-"""Wide specular lobes: sums over light cells with the exact BRDF and traced visibility.
+"""Wide specular lobes: sums over light cells with the exact BRDF.
 
 Within a cell of radius rho, the half vector rotates by up to rho / (2 cos theta_d), where theta_d
 is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2
@@ -39,7 +39,7 @@ class _CellAngles(NamedTuple):
 
 
 class LobeSums:
-    """Sums of cells under lobes of K ascending widths (no dataclass: not part of loop state)."""
+    """Sums of cells under lobes of K ascending widths (not a dataclass: opaque to loops)."""
 
     def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels
@@ -108,7 +108,7 @@ class WideLobes:
 
 
 class _TreeLevel(NamedTuple):
-    """Cells of one level, index of the first child of each, and function that adds a child."""
+    """Cells of one level, indices of first children, and function to add a child."""
 
     cells: LightCells
     first: Any

@@ -1,4 +1,4 @@
-"""Saturated samples as lower bounds of radiance (censored normal distribution [Tobin 1958]).
+"""Saturated samples as lower bounds (censored normal distribution [Tobin 1958]).
 
 A channel saturated at b has the likelihood Phi(z), z = (r - b) / sigma. Around a model r' it is
 approximated by a parabola with equal slope and curvature (re-weighted least squares [Green 1984]),

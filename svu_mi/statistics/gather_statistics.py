@@ -211,7 +211,7 @@ def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
 
 
 def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -> Bits:
-    """Return bits of samples with saturated channels, by place in ``Visibility.order`` and lane."""
+    """Return bits of saturated samples, by place in ``Visibility.order`` and lane."""
     bits = Bits.clear(views.number, surface.count)
 
     def consume(seen: ViewSample, slot: Any, touched: Any) -> tuple[Any]:

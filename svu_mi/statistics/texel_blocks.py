@@ -24,7 +24,7 @@ def block_size(rows: int, count: int) -> int:
 
 
 def texel_offset(lane: Any, rows: Any) -> Any:
-    """Return the index of a texel's first value; the stride between its values is ``BLOCK``."""
+    """Return the index of a texel's first value; the stride is ``BLOCK``."""
     return (lane // BLOCK) * (rows * BLOCK) + lane % BLOCK
 
 
