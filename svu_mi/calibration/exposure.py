@@ -41,7 +41,7 @@ FAR = np.log(2)  # larger log gains are initialized with a rough estimate instea
 FEWEST = 4  # photographs needed to flag outliers
 ODD_GAIN = np.log(2.5)  # log gain of an outlier, relative to the median photograph
 ODD_NOISE = 1.7  # residual of an outlier, relative to the median photograph
-SPREADS = 3.0  # an outlier also exceeds so many standard deviations over photographs
+SPREADS = 3.0  # minimum deviation of an outlier in standard deviations over photographs
 
 
 def estimate_gains(

@@ -330,7 +330,7 @@ def test_photographs_that_show_nothing_say_nothing(capture, value):
     views = check_views(reduce_photographs(blank, 128))
     assert all(view.color_error is None for view in views)
     assert all(np.isfinite([view.overlap, view.contrast]).all() for view in views)
-    with pytest.raises(svu.SvuError, match="no usable photograph"):
+    with pytest.raises(svu.SvuError, match="4 photographs are unusable"):
         svu.check(replace(blank, used=(False,) * 4))
 
 

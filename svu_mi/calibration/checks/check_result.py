@@ -98,7 +98,7 @@ class Check:
 
     Attributes:
         views: Fit of each used photograph, in the order of the capture.
-        corrected: Fit after all suggested corrections; ``views`` itself if there are none.
+        corrected: Fit after all suggested corrections; ``views`` itself without corrections.
         findings: Findings of poses, light, texture, gain and (if any) ignored parts.
         camera_axes: (4, 4) matrix assumed by ``camera-inverse`` (see ``apply_fixes``).
 

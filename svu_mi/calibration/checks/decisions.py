@@ -148,7 +148,7 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
         return unknown("light", "it is nearly constant, or hardly affects the photographs", table)
     is_supported = _count_cues(best, current) >= 2
     if improvement > LIGHT_RANGE and not is_supported:
-        # A single cue may be due to texture or to an object that faces one side.
+        # An object that faces one side does not distinguish lights on that side.
         either = _choices((names, *alternatives))
         return unknown("light", f"{either} would fit better, but by one of three cues only", table)
     if improvement <= LIGHT_IMPROVEMENT or not is_supported:
@@ -167,7 +167,7 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
 
 
 def _indistinguishable(scores: Sequence[LightScore], best: LightScore) -> list[LightScore]:
-    """Return the other hypotheses whose scores are as good as that of ``best``."""
+    """Return the other hypotheses that fit as well as ``best``."""
     return [s for s in scores if s is not best and s.total > best.total - LIGHT_MARGIN]
 
 
@@ -190,7 +190,7 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
     Args:
         excess: Excess of all photographs over the light; None if unknown.
         gains: Relative gains of V photographs; None if there are too few.
-        names: Names of these photographs.
+        names: Names of the V photographs.
     """
     odd = _odd_gains(gains, names) if gains is not None and gains.odd.any() else None
     sentences = list(filter(None, (excess and excess.sentence(), odd)))

@@ -1,7 +1,7 @@
 """Checks of exposure gains: relative to the light, and between photographs.
 
 Common gain: seen from many sides, an opaque surface is not brighter than a white diffuse surface.
-If photographs exceed this bound (``Excess``), their unit differs from that of the light. Too dark
+If photographs exceed this bound (``Excess``), the units of photographs and light differ. Too dark
 photographs are not detected: they look like dark paint. The constants were chosen on the included
 objects and lights and eight uniform materials, in 8 to 24 views. With correct units, the included
 textures exceed the bound on 0.3 % of the surface, white paint (base colour 0.9, in the sun) on 8 %,
@@ -55,7 +55,7 @@ LEAST = 3  # views needed per point
 CELLS = 1024  # cells of the light tree, smaller in bright regions
 FACING = 0.5  # minimum cosine to the camera: grazing gloss exceeds the bound
 NARROW = 0.95  # length of the mean camera direction: a cone of 50 degrees
-DIMMER = 5  # one of so many views may be below the bound, due to noise
+DIMMER = 5  # one of 5 views may be below the bound, due to noise
 LIT = 0.8  # minimum irradiance relative to the median: interreflection dominates in shadow
 OPEN = 0.9  # minimum unoccluded fraction of the sky, cosine-weighted
 AROUND = 2.0  # radiance of occluders, relative to the mean of the object
@@ -337,5 +337,5 @@ def _noise(ratio: np.ndarray, side: np.ndarray) -> np.ndarray:
 
 
 def _medians(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return medians of finite values; NaN if there are none."""
+    """Return medians of finite values; NaN for empty sets."""
     return np.ma.median(np.ma.masked_invalid(values), axis=axis).filled(np.nan)

@@ -85,7 +85,7 @@ def reduce_photographs(capture: Capture, side: int) -> Capture:
     """
     if not any(capture.used):
         raise CaptureError(
-            f"There is no usable photograph among {capture.count}; give others with --images."
+            f"All {capture.count} photographs are unusable; give others with --images."
         )
     sensors, images, masks = list(capture.sensors), list(capture.images), list(capture.masks)
     exposures = list(capture.exposures)
@@ -125,7 +125,7 @@ def _mean(values: np.ndarray, block: int) -> np.ndarray:
 
 
 def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
-    """Average the finite pixels of blocks; NaN if there are none."""
+    """Average the finite pixels of blocks; NaN for blocks without any."""
     usable = np.isfinite(image).all(axis=2, keepdims=True)
     share = _mean(usable, block)
     total = _mean(np.where(usable, image, 0), block)

@@ -28,7 +28,7 @@ SHARPEST = 0.02  # minimum standard deviation of a texel
 
 Brightness = Callable[
     [Estimate], np.ndarray
-]  # returns the factor (3,) by which base colours are too bright
+]  # returns the ratio (3,) of estimated to known base colour
 
 
 def require_albedo(value: float, option: str) -> None:

@@ -130,7 +130,7 @@ class LightEstimate:
         return np.stack([self._map(x) for x in self.draws[:count]])
 
     def scaled(self, factor: np.ndarray | float) -> LightEstimate:
-        """Return the light times a factor (scalar or per channel), with a certain scale."""
+        """Return the light times a factor (scalar or per channel), with scale_sd 0."""
         added = np.broadcast_to(np.log(factor), 3)
         return replace(
             self,

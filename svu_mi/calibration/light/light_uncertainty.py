@@ -55,7 +55,7 @@ SHARPNESS = 0.5 * NINETY**2 / log(TOLERANCE)
 
 # Changes of colour at constant level: one channel against the others.
 TINTS = np.eye(3) - 1 / 3
-PLANE = np.array([[2, -1, -1], [0, 3**0.5, -(3**0.5)]]).T / 6**0.5  # basis of these
+PLANE = np.array([[2, -1, -1], [0, 3**0.5, -(3**0.5)]]).T / 6**0.5  # basis of TINTS
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _slope_and_covariance(
     *slope, aa, ab, bb = np.linalg.lstsq(terms, excess, rcond=None)[0]
     values, vectors = np.linalg.eigh([[aa, ab], [ab, bb]])
     axes = PLANE @ vectors
-    curvature = np.maximum(values, COLOR.scale**-2)  # at least that of the prior
+    curvature = np.maximum(values, COLOR.scale**-2)  # at least the prior curvature
     return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T
 
 

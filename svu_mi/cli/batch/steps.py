@@ -74,7 +74,7 @@ def command_words(step: Step, item: BatchItem, folder: Path, steps: Sequence[str
 
 
 def path_word(path: Path) -> str:
-    """Return a path as a word of a command that is never taken for an option."""
+    """Return a path as an argument that does not start with a dash."""
     return f"./{path}" if str(path).startswith("-") else str(path)
 
 
