@@ -1,4 +1,4 @@
-"""The integrator svu_entropy: what it shows is the map, exactly, where it belongs."""
+"""Integrator svu_entropy: pixels equal the map at the right positions."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def file(tmp_path, values):
 
 
 def seen(values: np.ndarray) -> np.ndarray:
-    """What the camera sees of a map: v points up and row 0 is v = 0; u points right."""
+    """Return the map as the camera sees it: v points up, row 0 is v = 0, u points right."""
     return values[::-1]
 
 

@@ -1,4 +1,4 @@
-"""The integrator svu_sh: what it shows is close to ``path``, and differentiable like ``prb``."""
+"""Integrator svu_sh: images are close to ``path``, and differentiable like ``prb``."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def psnr(image, reference):
 @pytest.mark.parametrize(
     ("name", "light", "preset", "decibels"),
     [
-        # What is left is the model's own error; measured 37.4, 31.8, 30.0, 32.8 dB.
+        # The remaining error is the model's; measured 37.4, 31.8, 30.0, 32.8 dB.
         ("vase", "window", "default", 36),
         ("spheres", "window", "default", 30.5),
         ("spheres", "studio", "default", 28.5),
@@ -104,7 +104,7 @@ def test_mirror_shows_light_and_wall_its_irradiance():
     mirror = {"type": "principled", "metallic": 1.0, "roughness": 0.0,
               "base_color": {"type": "rgb", "value": 1.0}}  # fmt: skip
     image = picture(ball(mirror, white), None, sensor=0)
-    # A mirror of R0 = 1 reflects all but what its width, 1e-3, masks at grazing angles.
+    # A mirror of R0 = 1 reflects all light except for masking at grazing angles (width 1e-3).
     np.testing.assert_allclose(image, np.broadcast_to([0.5, 1, 2], image.shape), rtol=1e-3)
     lambert = {"type": "principled", "metallic": 0.0, "roughness": 1.0, "specular": 0.5,
                "base_color": {"type": "rgb", "value": 0.6}}  # fmt: skip

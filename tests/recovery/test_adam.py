@@ -59,7 +59,7 @@ def test_it_is_adam_with_a_falling_rate_and_projection():
     wanted = truth()
     descent = descend(towards(wanted), half(), options)
     value, losses = adam(wanted.astype(np.float64), options)
-    # float32 moments, and gradients that vanish near the minimum: the direction is what is left
+    # float32 moments, and gradients that vanish near the minimum: only their direction remains
     assert np.abs(np.array(descent.values["base_color"]) - value).max() < 1e-4
     assert np.allclose(descent.losses, losses, rtol=1e-3)
     assert descent.steps == 60

@@ -1,4 +1,4 @@
-"""Checkpoints: whole or not there, of this run or refused, and good enough to go on from."""
+"""Checkpoints: complete or missing, refused for other runs, sufficient to resume."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from svu_mi.recovery.recovery_options import DescentOptions
 SHAPES = {"base_color": (4, 6, 3), "roughness": (4, 6, 1)}
 SETTINGS = {"seed": 3, "descent": {"learning_rate": 0.01, "bounds": [0.0, 1.0]}, "name": "ball"}
 
-# A deterministic objective, in a process of its own; what it minimises needs all of 400 steps.
+# A deterministic objective for a separate process, which needs all 400 steps.
 SCRIPT = """
 import sys, time
 import svu_mi
@@ -94,7 +94,7 @@ def test_another_runs_checkpoint_is_refused_by_name(tmp_path, changed, words):
 
 
 def test_settings_survive_json(tmp_path):
-    """Tuples come back as lists; that is no other run."""
+    """Tuples are read as lists, which counts as the same run."""
     Checkpoint(tmp_path / "c.npz", {"a": (1, 2)}).save(state())
     assert Checkpoint(tmp_path / "c.npz", {"a": [1, 2]}).load(SHAPES) is not None
 
@@ -110,7 +110,7 @@ def test_a_truncated_file_is_refused(tmp_path, part):
 
 
 def test_flipped_bits_are_detected(tmp_path):
-    """Of bits all over the file; those that change nothing (in the zip's own fields) may pass."""
+    """Bits of the whole file; flips without effect (in fields of the zip format) may pass."""
     path = tmp_path / "c.npz"
     Checkpoint(path, SETTINGS).save(state())
     data, wanted = path.read_bytes(), state()
@@ -190,7 +190,7 @@ def interrupt(tmp_path, after, how):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What a run ends with that nobody interrupts."""
+    """Return the result of an uninterrupted run."""
     textures, first = finish(tmp_path_factory.mktemp("whole"), "whole.npz")
     assert first == 0
     return textures

@@ -1,4 +1,4 @@
-"""What nobody saw, filled by likeness: on surfaces that are known everywhere, and by ``svu``."""
+"""Filling of unseen texels by symmetry: on known surfaces, and by ``svu``."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def known_of(values: np.ndarray, texels: np.ndarray) -> KnownTexels:
     SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)), SymmetryPredictor("repeated", Y, 4),
 ])  # fmt: skip
 def test_predictors_use_similar_texels(likeness: SymmetryPredictor) -> None:
-    """Bands around a cylinder: near ones tell little of its far side, a turn or a mirror all."""
+    """Bands around a cylinder: rotation or reflection predicts the far side, neighbours do not."""
     pieces = cylinder(240)
     x, y, _ = pieces.point.T
     values = np.sin(9 * y)[None] * 0.5 + 0.5
@@ -77,7 +77,7 @@ def test_predictors_use_similar_texels(likeness: SymmetryPredictor) -> None:
 
 
 def test_a_pattern_around_an_axis_is_continued() -> None:
-    """Three of six petals are known: the others are found, which height and radius cannot tell."""
+    """Three of six petals are known: repetition finds the others, height and radius do not."""
     pieces = cylinder(360)
     x, _, z = pieces.point.T
     values = (np.sin(6 * np.arctan2(z, x)) > 0)[None].astype(float)
@@ -95,7 +95,7 @@ def test_a_pattern_around_an_axis_is_continued() -> None:
 
 
 def test_pieces_are_of_one_material() -> None:
-    """Two balls side by side, of which halves are known: what is near is of the other one."""
+    """Two adjacent balls with known halves: the nearest texels belong to the other ball."""
     angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     points = np.concatenate([ring - [1.05, 0, 0], ring + [1.05, 0, 0]])
@@ -126,8 +126,8 @@ def test_pieces_with_few_known_texels_do_not_predict() -> None:
 
 
 def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[TexelGraph, np.ndarray]:
-    """A square of surely known texels with a slope and a hole, and a piece by itself in the hole;
-    and its true values."""
+    """A square of certain texels with a slope and a hole, a separate piece in the hole, and
+    true values."""
     rows, columns = np.divmod(np.arange(side**2), side)
     true = (0.6 + 0.6 * (columns / (side - 1) - 0.5))[None]
     around = square(side)
@@ -151,7 +151,7 @@ def round_hole(side: int, radius: float) -> np.ndarray:
 @pytest.mark.parametrize("enough", [2**16, 1000])
 @pytest.mark.parametrize("title", MEAN_WEIGHTS)
 def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, enough: int) -> None:
-    """Of surely known texels with a slope: it goes on. Of a piece by itself nothing is known."""
+    """A slope of certain texels continues into the hole; the separate piece has no known texel."""
     monkeypatch.setattr(texel_hierarchy, "MOST_TEXELS", enough)
     hole, alone = round_hole(120, 0.7), round_hole(120, 0.1)
     graph, true = sheet(120, hole, alone)
@@ -192,7 +192,7 @@ def test_groups_are_all_known_or_all_unknown() -> None:
 
 @pytest.mark.parametrize("title", MEAN_WEIGHTS)
 def test_values_spread_equally_over_groups_and_texels(monkeypatch, title: str) -> None:
-    """Guesses are tried on groups: they must be those that texels are filled by."""
+    """Cross-validation on groups must measure the predictions that fill texels."""
     hole = round_hole(128, 0.8)
     graph, _ = sheet(128, hole, np.zeros_like(hole))
     ((_, fine),) = tv_predictions(graph, {title})
@@ -288,7 +288,7 @@ def error(field: TextureField, banded: SimpleNamespace, name: str) -> float:
 
 
 def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace, filled: Filled) -> None:
-    """What is hidden has its true values in the field that is given: they must not be looked at."""
+    """The given field has the true values of hidden texels, which must not be used."""
     field, hidden = banded.field, banded.hidden
     other = lay_out(field.texels, {
         name: np.where(hidden[:, None], 0.77, x) for name, x in banded.values.items()
@@ -303,7 +303,7 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace, filled: F
     assert max(weights, key=weights.get).endswith(("about y", "along y"))
     assert result.likeness["roughness"].count("%") == 3
     assert error(result.field, banded, "roughness") < 0.15  # they differ by .8
-    for name in NAMES:  # what was seen stays
+    for name in NAMES:  # seen texels do not change
         new, old = (each.textures.at(field.texels, name)[~hidden] for each in (result, field))
         np.testing.assert_allclose(new, old, atol=1e-6)
     assert (result.field.width[:, hidden] >= spoiled.width[:, hidden] - 1e-6).all()
@@ -314,7 +314,7 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace, filled: F
 
 @pytest.mark.slow
 def test_common_scale_is_counted_once(banded: SimpleNamespace) -> None:
-    """Of light that was found: what is not filled is as sure as before, and filling again."""
+    """With estimated light: texels that are not filled keep their sd, also if filled again."""
     field = replace(banded.field, scale=np.array([0.1, 0.2, 0.3]))
     result = fill(field, ~banded.hidden)
     np.testing.assert_allclose(result.field.width[:, ~banded.hidden],
@@ -328,7 +328,7 @@ def test_common_scale_is_counted_once(banded: SimpleNamespace) -> None:
 
 @pytest.mark.slow
 def test_large_textures_are_cross_validated_by_groups(monkeypatch, banded) -> None:
-    """What fills them is about the same, and so is how far off that is: of wide stripes."""
+    """Wide stripes: predictions and their errors are nearly equal."""
     field, hidden = banded.field, banded.hidden
     _, y, z = normalized_points(np.array(field.texels.position).T).T
     stripes = (0.5 + 0.4 * np.sin(4 * y + 3 * np.abs(z)))[:, None]
@@ -389,7 +389,7 @@ def test_impossible_fills_are_refused(banded: SimpleNamespace) -> None:
 
 
 def test_flat_objects_hold_out_sides() -> None:
-    """All of it faces one way, and what faces one way would be everything."""
+    """All texels have one normal, so clusters of normals would contain all of them."""
     x, y = (side.ravel() for side in np.meshgrid(np.arange(20.0), np.arange(12.0)))
     point = normalized_points(np.stack([x, y, 0 * x], axis=1))
     pieces = Pieces(point, np.tile([0.0, 0, 1], (len(point), 1)), np.zeros(len(point), np.int64))

@@ -1,4 +1,4 @@
-"""Filling by diffusion without any weights: blending, views, what texels get, refusals."""
+"""Filling by diffusion without weights: blending, views, values of texels, errors."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Ddim:
 
     def step(self, latent: Any, predicted: Any, time: float) -> Any:
         (a, s), (b, r) = self.parts(time), self.parts(self._next(time))
-        if a < 1e-6:  # nothing is left of what it was: the model says what it is
+        if a < 1e-6:  # the initial value has no effect: the model alone determines the result
             return b * predicted + r * latent
         return b * (latent - s * predicted) / a + r * predicted
 
@@ -73,7 +73,7 @@ class Ddim:
 
 
 def blended(free: int, predict: Callable[[Any, float], Any], steps: int = 50) -> SimpleNamespace:
-    """Run the loop, and keep what the model is given."""
+    """Run the loop and record the inputs of the model."""
     random = np.random.default_rng(743051821)
     known, noise = random.standard_normal((2, *SHAPE))
     certain = (np.indices(SHAPE[1:]).sum(axis=0) % 3 == 0).astype(float)
@@ -106,7 +106,7 @@ def test_certain_latents_are_restored_until_the_last_steps(free: int) -> None:
 
 
 def test_uncertain_latents_follow_the_model() -> None:
-    """Pixels do not know of each other here: uncertain ones are what they are without the rest."""
+    """This model treats pixels independently, so certain ones must not affect uncertain ones."""
 
     def model(latent: np.ndarray, time: float) -> np.ndarray:
         return np.tanh(3 * latent + time)
@@ -120,7 +120,7 @@ def test_uncertain_latents_follow_the_model() -> None:
 
 
 class Truth:
-    """Stands in for a model: it knows what a scene is made of, or says the same of everything."""
+    """Substitute for a model that returns true maps of a scene, or a constant."""
 
     title, licence, runs = "the truth", "none", 2
 
@@ -147,7 +147,7 @@ class Truth:
 
 @pytest.fixture(scope="module")
 def painted(vase: SimpleNamespace) -> SimpleNamespace:
-    """The vase in its own textures, as if recovered, but for one side, which nobody saw."""
+    """The vase with true textures as recovered ones, and one unseen side."""
     truth = scene_textures(vase.capture, vase.texels)
     field = field_around(truth, vase.estimate, neighbors(vase.texels, vase.capture.mesh))
     side = normalized_points(np.array(vase.texels.position, np.float64).T)[:, 0]
@@ -182,7 +182,7 @@ def test_texels_take_the_models_values(painted, by_truth) -> None:
                      for each in (painted.truth, result.textures))  # fmt: skip
         off = np.abs(got - true)[model.reached]
         spread = true[model.reached].std()
-        # What is left is at edges of the pattern, where a pixel shows more than one texel.
+        # Remaining errors are at edges of the pattern, where a pixel shows several texels.
         assert np.median(off) < 0.01 and off.mean() < 0.25 * spread, name
         np.testing.assert_allclose(got[painted.shown], true[painted.shown], atol=1e-6)
         answer = model.answers[0]
@@ -206,7 +206,7 @@ def test_model_input_contains_known_values(painted, by_truth) -> None:
         assert picture.photograph.shape == (*picture.certain.shape, 3)
         assert picture.photograph.min() >= 0 and picture.photograph.max() == 1
         assert max(picture.certain.shape) == OPTIONS.side
-    # The first of a task; what others are given holds what the model has said before.
+    # The first picture of a task; later inputs contain earlier outputs of the model.
     for place in (0, -len(filled.invented.answers[0].pictures)):
         picture = model.asked[place][0]
         look = ObjectView.of(object_only_scene(painted.capture), picture.sensor)
@@ -226,7 +226,7 @@ def test_held_out_texels_are_unknown_to_the_model(by_truth) -> None:
 
 @pytest.fixture(scope="module")
 def by_quarter(painted: SimpleNamespace) -> tuple[Filled, Truth]:
-    """By a model that says 0.25 of everything, of texels that are less sure than others, too."""
+    """By a model with output 0.25, also for uncertain texels."""
     limit = float(np.quantile(painted.field.sds[:, painted.shown].max(axis=0), 0.7))
     model = Truth(painted, always=0.25)
     filled = fill_by_diffusion(painted.capture, painted.field, painted.shown, model, limit, OPTIONS)
@@ -260,7 +260,7 @@ def test_summary_names_the_model_and_its_error(by_quarter) -> None:
 
 @pytest.mark.slow
 def test_photographs_are_cut_to_the_object(painted, by_quarter) -> None:
-    """What a model is shown of a photograph is what the sensor it is said to be from sees."""
+    """The crop of a photograph matches the sensor of the model input."""
     filled, model = by_quarter
     answer = filled.invented.answers[0]
     assert answer.source == "photographs"

@@ -55,7 +55,7 @@ def recovered(shot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def picture(height: int = 45, width: int = 60) -> ModelInput:
-    """Noise, of which the left half is certain."""
+    """Noise with a certain left half."""
     random = np.random.default_rng(530619427)
     maps = {"base_color": random.random((height, width, 3)) * 0.2 + 0.4,
             "roughness": np.full((height, width), 0.3),
@@ -65,7 +65,7 @@ def picture(height: int = 45, width: int = 60) -> ModelInput:
 
 
 class Identity:
-    """An autoencoder that only halves: what is certain can be compared, pixel by pixel."""
+    """An autoencoder that only halves the resolution, so that certain pixels can be compared."""
 
     dtype = torch.float32
     config = SimpleNamespace(scaling_factor=0.5, block_out_channels=(1, 1), latent_channels=3)
@@ -79,7 +79,7 @@ class Identity:
 
 
 class Recording:
-    """A U-Net that says the same of everything, and keeps what it is given."""
+    """A U-Net with constant output that records its inputs."""
 
     def __init__(self) -> None:
         self.given: list[tuple[torch.Tensor, float, tuple[int, ...]]] = []
@@ -92,7 +92,7 @@ class Recording:
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_models_are_given_what_their_pipelines_give_them(folders, name: str) -> None:
-    """Order of latents, texts, sRGB, times of the schedule; and what is certain comes back."""
+    """Order of latents, prompts, sRGB, schedule; certain pixels are reproduced."""
     model = load_model(folders[name], "cpu")
     unet, family = Recording(), model.family
     plain = LatentDiffusion(
@@ -135,7 +135,7 @@ def test_the_same_seed_gives_the_same_maps(folders, name: str) -> None:
 @pytest.mark.usefixtures("variant")
 @pytest.mark.parametrize("name", FAMILIES)
 def test_the_command_fills_by_a_model(shot, recovered, folders, tmp_path, capsys, name) -> None:
-    """As many steps as in the paper, on the CPU; what was seen stays, and so does the seed."""
+    """50 steps, as in the paper, on the CPU; seen texels and the seed are kept."""
     out, again = tmp_path / "filled", tmp_path / "again"
     words = "inpaint", shot, "--recovered", recovered, "--model", folders[name]
     words = *words, "--views", 2, "--side", 32, "--seed", 11
@@ -157,7 +157,7 @@ def test_the_command_fills_by_a_model(shot, recovered, folders, tmp_path, capsys
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return all files, with what is in them."""
+    """Return all files with their contents."""
     return {str(path.relative_to(folder)): path.read_bytes()
             for path in sorted(folder.rglob("*")) if path.is_file()}  # fmt: skip
 

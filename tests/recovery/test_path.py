@@ -114,11 +114,11 @@ def test_two_sided_materials_stay_two_sided(tmp_path):
 
 @pytest.mark.slow
 def test_uniform_textures_render_as_the_uniform_material(capture, grid):
-    """Same paths, same radiance: the textures stand for what they are called."""
+    """Equal paths, equal radiance: each texture sets its own parameter."""
     target = PathScene.of(capture, uniform_textures(grid))
     for values in ({}, {"metallic": 0.0, "roughness": 0.8}, {"metallic": 1.0, "roughness": 0.2}):
         target.paint(textures_of(grid, **values))
-        # Made of 0.5 and painted afterwards, as the textures are: all lobes are there.
+        # Created with 0.5 and painted afterwards, as the textures: no lobe is disabled.
         plain = mi.load_dict(paint((0.5, 0.5, 0.5), 0.5, 0.5))
         params = mi.traverse(plain)
         wanted = {"base_color": (0.6, 0.4, 0.2), "roughness": 0.4, "metallic": 0.3, **values}
@@ -152,7 +152,7 @@ def odd_sensor(sensor, **changes):
 
 
 def mixed(capture):
-    """Views of several sizes, a crop, a mask, a hole, and one that is left out."""
+    """Views of several sizes, with a crop, a mask, a hole, and one unused view."""
     sensors = [odd_sensor(capture.sensors[0]), *capture.sensors[1:]]
     images = render_views(capture.scene, sensors, 256)
     images[2][10:14] = np.nan
@@ -190,7 +190,7 @@ def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
 
 
 def test_rays_pass_through_their_pixels(capture):
-    """Of views of several sizes, one of which is a crop window."""
+    """Views of several sizes, one with a crop window."""
     scene = mixed(capture)
     batches = PixelBatches(scene, 200)
     sampler = mi.load_dict({"type": "independent"})
@@ -231,7 +231,7 @@ def test_renders_and_photographs_are_of_the_same_pixels(capture, grid):
     error = (np.array(render) - np.array(photograph)).reshape(-1, 2, 3).mean(axis=1)
     error /= objective.batches.mean
     # Renders of 256 and 512 paths: errors of about 4 % of the mean, which cancel in a view. A
-    # pixel beside the right one is wrong by 20 %.
+    # pixel next to the right one differs by 20 %.
     assert np.sqrt(np.mean(error**2)) < 0.08
     view = np.array(objective.batches.at(0).places[0])
     assert np.array_equal(np.unique(view), np.arange(5))
@@ -265,10 +265,10 @@ def number(loss):
 @pytest.mark.slow
 @pytest.mark.parametrize("loss", LOSSES)
 def test_gradients_are_those_of_finite_differences(capture, grid, loss):
-    """Of the mean over many paths: gradients have paths of their own, so equality is statistical.
+    """Means over many paths; equality is statistical, because gradients use independent paths.
 
-    The direction is random, so that every texel takes part with a weight of its own. What is
-    computed in two halves is compared with differences of the whole: so is its loss.
+    A random direction gives every texel another weight. Gradients by halves are compared with
+    differences of the whole loss.
     """
     plain, halves = (
         path_objective(
@@ -329,7 +329,7 @@ def test_fixed_parameters_keep_their_values(capture, grid):
 
 @pytest.mark.slow
 def test_descent_finds_the_colour_of_a_surface(capture, grid):
-    """With the rest known; all of it can hardly be told from so few paths."""
+    """Other parameters are known, because few paths do not determine all of them."""
     fixed = Textures(**textures_of(grid))
     objective = path_objective(capture, grid, options(epochs=3, spp=8), fixed=fixed)
     start = {"base_color": uniform_textures(grid).base_color}

@@ -187,7 +187,7 @@ def test_sharing_twice_adds_nothing(shared: svu.Recovery) -> None:
 
 
 def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> None:
-    """Entropy is a part of that of the prior, the learned one, channel by channel."""
+    """Entropy is relative to the learned prior, per channel."""
     posterior = shared.estimate.posterior
     blind = replace(posterior.kernel.problem, scale=0 * posterior.kernel.problem.scale)
     blind = replace(blind, min_energy=0 * blind.min_energy)

@@ -101,7 +101,7 @@ def seen(capture, grid):
 
 @dataclass
 class RecordedCalls:
-    """What the parts of a recovery were recorded."""
+    """Recorded inputs of the parts of a recovery."""
 
     descents: list[DescentOptions] = field(default_factory=list)
     rules: list[list[tuple[float, Any]]] = field(default_factory=list)
@@ -112,7 +112,7 @@ class RecordedCalls:
 
 @pytest.fixture
 def recorded(monkeypatch):
-    """Every descent is one step, and all that it was asked for is written down."""
+    """Replace every descent by one step that records its arguments."""
     recorded = RecordedCalls()
     descend, regularized = entry.descend, entry.regularized
 
@@ -142,7 +142,7 @@ def recorded(monkeypatch):
 
 
 def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
-    """Whether neighbours are those of the map; those of the ball meet at its border, too."""
+    """Return whether neighbours are in the map; on the ball they also cross its border."""
     return variation.mesh.seams == 0 and len(variation.mesh.pairs[0]) == len(
         neighbors(grid).pairs[0]
     )
@@ -162,7 +162,7 @@ def test_run_uses_the_options_of_its_preset(seen, grid, recorded, method, name):
     assert said["sharing"] is False
     last = dict(zip(reversed(parts), reversed(recorded.descents), strict=False))
     for part, options in parts.items():
-        steps = {"steps": last[part].steps} if part == "path" else {}  # those of its epochs
+        steps = {"steps": last[part].steps} if part == "path" else {}  # as for its epochs
         assert asdict(last[part]) == options["descent"] | steps
     pairs = list(
         zip(reversed(parts), reversed(recorded.data), reversed(recorded.rules), strict=False)
@@ -179,7 +179,7 @@ def test_run_uses_the_options_of_its_preset(seen, grid, recorded, method, name):
 
 
 def check_data(part: str, data: Any, options: dict[str, Any]) -> None:
-    """What is compared with the photographs is what the options say."""
+    """The data loss is the one of the options."""
     if part == "path":
         assert isinstance(data, PathObjective)
         used = asdict(data.options) | {"max_depth": None, "descent": options["descent"]}
@@ -210,7 +210,7 @@ def test_a_start_is_that_of_the_preset(seen, recorded):
      ("sh+path", "paper", "observed")],
 )  # fmt: skip
 def test_the_paper_s_presets_share_as_printed(seen, grid, recorded, method, name, source):
-    """By power spectra over 8 x 8 cells, also where a recovery goes on from another estimate."""
+    """By power spectra over 8 x 8 cells, also if the source is another estimate."""
     given = seen if source == "estimate" else seen.observed
     recovery = svu.recover(given, None, method, name, sharing=True)
     (sharing,) = recorded.sharing  # both parts of sh+path have the same one
@@ -259,7 +259,7 @@ def test_known_roughness_reaches_the_papers_posterior(seen, recorded):
 
 
 def test_losses_of_the_paper_can_use_a_common_prior(seen, recorded):
-    """Losses of the paper do not know it by themselves; a weight of 0 is none."""
+    """It is a separate loss term; a weight of 0 disables it."""
     mixed = replace(SH_PRESETS["paper"], common_prior=True, sharing=8.0)
     recovery = svu.recover(seen, sharing=True, sh=mixed)
     assert recovery.settings["sharing"] is True and len(recorded.rules[-1]) == 2

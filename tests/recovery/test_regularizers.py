@@ -65,7 +65,7 @@ def check_gradient(oracle: Any, gradient: np.ndarray, values: np.ndarray, seed: 
         way = rng.normal(size=values.shape)
         step = 1e-5
         slope = (oracle(values + step * way) - oracle(values - step * way)) / (2 * step)
-        # float32 gradients: 1e-5 of the sum of what is added up.
+        # float32 gradients: 1e-5 of the sum of magnitudes.
         assert abs((gradient * way).sum() - slope) < 1e-5 * np.abs(gradient * way).sum() + 1e-9
 
 
@@ -105,7 +105,7 @@ def test_pixels_outside_charts_have_no_influence():
 
 @cache
 def two_charts() -> tuple[Texels, Any]:
-    """Charts apart in space that touch in the map, a third beside them, and holes around."""
+    """Charts that touch in the map but not in space, a third chart, and holes around."""
     mesh = together(
         quad((0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 0.5, 0.5)),
         quad((9, 0, 0), (4, 0, 0), (0, 4, 0), (0.5, 0, 1, 0.5)),
@@ -135,7 +135,7 @@ def printed_variation(where: Texels, image: np.ndarray) -> tuple[float, np.ndarr
 @pytest.mark.parametrize("steps", [3, 1 << 20])
 @pytest.mark.parametrize("channels", [3, 1, None])
 def test_tv_in_texture_space_is_the_papers(scene, steps, channels):
-    """With steps so coarse that many neighbours are equal, which pull at nobody."""
+    """Coarse steps, so that many neighbours are equal and have no gradient."""
     where, _ = scene()
     values = np.round(a_texture(1663204127, channels) * steps) / np.float32(steps)
     loss, gradient = differentiated(TotalVariation(where, epsilon=0.0), values)
@@ -145,7 +145,7 @@ def test_tv_in_texture_space_is_the_papers(scene, steps, channels):
 
 
 def test_total_variation_crosses_seams():
-    """A stripe at the border of the map costs what it costs in its middle."""
+    """A stripe has the same total variation at the border of the map as in its middle."""
     where, mesh = sphere()
     width, height = RESOLUTION
     row, column = np.divmod(where.index.numpy().astype(int), width)
@@ -156,7 +156,7 @@ def test_total_variation_crosses_seams():
         return differentiated(TotalVariation(where, mesh), where.to_image(inside))[0]
 
     assert stripe(0, mesh) == pytest.approx(stripe(width // 4, mesh), rel=1e-5)
-    # Without the mesh, nobody knows that both borders are one.
+    # Without the mesh, both borders are separate.
     assert stripe(0, None) < 0.65 * stripe(width // 4, None)
 
 

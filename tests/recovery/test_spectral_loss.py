@@ -162,7 +162,7 @@ def test_moments_by_normal_are_sums_over_the_light(observed):
             weight = (cosine * (1 - cosine) ** power)[:, None] * flux
             exact = np.concatenate([weight.sum(axis=0)[None], local.T @ weight])  # (4, 3)
             ours = [[channel[first + i].numpy()[k] for channel in moments] for i in range(4)]
-            # Degrees above 16 are left out; the maps are interpolated.
+            # Degrees above 16 are omitted; the maps are interpolated.
             np.testing.assert_allclose(ours, exact, atol=4e-3 * flux.sum(axis=0).max())
 
 

@@ -1,4 +1,4 @@
-"""How sure recovered textures are: fields, draws and pictures, against dense linear algebra."""
+"""Uncertainty of recovered textures: fields, draws, images, against dense linear algebra."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def square(side: int = SIDE) -> np.ndarray:
 
 
 def those_first(around: np.ndarray) -> np.ndarray:
-    """(K, T) neighbours, those that there are before all others."""
+    """Return neighbours (K, T), existing ones first."""
     order = np.argsort(around == np.arange(around.shape[1]), axis=0, kind="stable")
     return np.take_along_axis(around, order, axis=0)
 
@@ -231,12 +231,12 @@ def test_field_has_standard_deviations_of_every_texel(recovered: SimpleNamespace
         inner = field.interval(name, 0.5)
         assert (inner[0] >= low - 1e-12).all() and (inner[1] <= high + 1e-12).all()
         flat = sd.reshape(T, -1).mean(axis=1)
-        assert flat[~seen].mean() > flat[seen].mean()  # nobody saw them
+        assert flat[~seen].mean() > flat[seen].mean()  # unseen texels
 
 
 @pytest.mark.slow
 def test_draws_have_the_mean_and_sd_of_the_field(recovered, draws) -> None:
-    """And neighbours are as alike as the field says."""
+    """Neighbours have the correlation of the field."""
     field = recovered.field
     for name in NAMES:
         values = np.stack([draw.at(field.texels, name) for draw in draws]).astype(np.float64)

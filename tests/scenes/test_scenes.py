@@ -1,4 +1,4 @@
-"""The scenes: they load under every light, show their object, and are what the script makes."""
+"""Scenes: they load under every light, show their object, and equal the output of the script."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_the_command_lists_them(capsys):
 
 
 def test_the_command_copies_one_that_loads_from_there(tmp_path, monkeypatch, capsys):
-    """With its lights, twice, and beside others."""
+    """With its lights, twice, and next to other scenes."""
     monkeypatch.chdir(tmp_path)
     for name in ("vase", "vase", "planes"):
         assert run("scenes", name) == 0
