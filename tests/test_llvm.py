@@ -57,14 +57,14 @@ def test_gate_refuses_versions_that_abort_on_x86(machine, version):
 
 
 @pytest.mark.parametrize(("x86", "version"), [(False, (15, 0, 6)), (True, (17, 0, 6))])
-def test_gate_accepts_what_does_not_abort(machine, x86, version):
+def test_gate_accepts_libraries_that_do_not_abort(machine, x86, version):
     machine.setattr(_llvm, "is_x86", lambda: x86)
     pretend_loaded(machine, version)
     _llvm.require()
     assert _llvm.status().version == version
 
 
-def test_gate_says_why_a_chosen_library_was_not_loaded(machine, tmp_path):
+def test_gate_reports_why_a_chosen_library_failed(machine, tmp_path):
     broken = library(tmp_path, "19.1")
     machine.setattr(_llvm, "_status", _llvm.LlvmStatus(broken, (19, 1), "system"))
     pretend_loaded(machine, (-1, -1, -1))
@@ -103,7 +103,7 @@ def test_users_library_wins(machine, tmp_path):
         ("text.so", "is not an LLVM library"),
     ],
 )  # fmt: skip
-def test_what_is_no_library_is_refused_with_the_fix(machine, tmp_path, name, words):
+def test_invalid_library_is_refused_with_the_remedy(machine, tmp_path, name, words):
     (tmp_path / "text.so").write_text("not a library")
     assert words in (chosen_for(machine, tmp_path / name).problem or "")
 
@@ -118,7 +118,7 @@ def test_users_llvm_15_is_refused_and_hidden_from_dr_jit(machine, tmp_path):
     assert os.environ[_llvm.VARIABLE] == _llvm.REFUSED + mine
 
 
-def test_require_raises_what_bootstrap_found(machine, tmp_path):
+def test_require_raises_the_problem_of_bootstrap(machine, tmp_path):
     machine.setenv(_llvm.VARIABLE, str(tmp_path))
     machine.setattr(_llvm, "_status", _llvm.choose())
     with pytest.raises(SvuEnvironmentError, match="is a folder"):

@@ -104,7 +104,7 @@ def test_the_order_of_the_views_does_not_matter(glossy, method):
 
 @pytest.mark.few(1)
 @METHODS
-def test_an_unseen_texel_knows_nothing(tmp_path, method):
+def test_unseen_texel_has_entropy_1(tmp_path, method):
     """Cameras on one side only: the other side has entropy 1 and coverage 0, exactly."""
     scene = ball_scene(tmp_path, STUDIO, GLOSSY)
     sensors = [s for s in sphere_sensors(scene.shapes()[0], 40, (48, 48))
@@ -132,7 +132,7 @@ def test_one_view_is_an_answer_too(tmp_path, method):
     assert set(np.array(result.coverage)) == {0, 1}
 
 
-def test_no_texel_seen_is_said(tmp_path):
+def test_capture_without_seen_texels_is_refused(tmp_path):
     scene = ball_scene(tmp_path, STUDIO, GLOSSY)
     record = describe(sphere_sensors(scene.shapes()[0], 1, (16, 16))[0])
     pose = np.array(record["to_world"])

@@ -61,7 +61,7 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
         ({"errors": "median"}, "errors must be one of mean, sum"),
     ],
 )
-def test_what_the_paper_has_not_is_refused_beside_what_it_has(switches, sentence):
+def test_options_that_contradict_a_fit_are_refused(switches, sentence):
     with pytest.raises(OptionError, match=sentence):
         preset("paper", method="angular", **switches)
 

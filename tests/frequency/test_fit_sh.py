@@ -99,7 +99,7 @@ def test_auto_chooses_the_primal_for_many_views_and_agrees():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_views_that_see_nothing_change_nothing(method):
+def test_unseen_views_do_not_change_the_fit(method):
     """Weight 0 excludes samples with any values, including NaN."""
     rng = np.random.default_rng(30331)
     d, w, f = samples(rng, 20, 12, 3)
@@ -183,7 +183,7 @@ def test_options_outside_their_range_are_refused(options):
         fit_sh(**good(), **options)
 
 
-def test_the_dual_says_when_there_are_too_many_views():
+def test_too_many_views_for_the_dual_are_refused():
     d, w, f = samples(np.random.default_rng(6022), 2, 300, 1)
     with pytest.raises(OptionError, match='has 300 views.*method="auto"'):
         fit_sh(d, w, f, method="dual")

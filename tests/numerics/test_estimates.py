@@ -217,7 +217,7 @@ def test_texels_stay_visible_far_from_the_origin(extents, capture, tmp_path):
 
 
 @pytest.mark.parametrize("extents", [1e4, 1e5])
-def test_what_single_precision_cannot_place_is_refused(extents, capture, tmp_path):
+def test_positions_beyond_single_precision_are_refused(extents, capture, tmp_path):
     refused(ball(to_world=similarity(1.0, extents * EXTENT)).capture(tmp_path, capture.images))
 
 

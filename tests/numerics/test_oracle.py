@@ -42,7 +42,7 @@ def test_entropy_error_is_bounded_by_energy_error(channels, seed, size, error):
         assert abs(oracle.mean_entropy(p) - exact.entropy) <= exact.bound
 
 
-def test_bounds_are_small_where_nothing_is_uncertain():
+def test_bounds_are_small_without_uncertainty():
     assert exact_entropy([np.zeros((8, 8))], [np.zeros((8, 8))]).entropy == pytest.approx(1)
     sharp = np.full((8, 8), 1e6)
     sharp[2, 3] = 0

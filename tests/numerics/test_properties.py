@@ -181,7 +181,7 @@ def test_view_without_noise_dilutes_truth_by_at_most_its_share(seed, r, m, c, vi
     assert (of_truth(data, FIXED.sigma) >= before - 5e-6).all()  # of single probabilities
 
 
-def test_a_view_that_tells_nothing_makes_the_posterior_wider():
+def test_uninformative_view_widens_the_posterior():
     """The counterexample: all cells explain a black view of an unlit texel alike."""
     truth = (3, 0.375, 0.32 / 0.625)  # Kd = 0.2, R0 = 0.4
     data = samples(40009, 1, views=6, noise=0, truth=truth)

@@ -133,7 +133,7 @@ def test_every_rule_agrees_with_brute_force(switches, with_prior):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("rows", [True, False], ids=["one roughness", "cells"])
 @pytest.mark.parametrize("switches", RULES, ids=rule)
-def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, rows):
+def test_unseen_texels_have_the_prior_for_their_posterior(switches, rows):
     rng = np.random.default_rng(264575)
     samples = random_samples(rng, 9, 3 if switches.channels == "joint" else 1)
     statistics = statistics_of(some_views(samples, np.array([0, 4, 1] * 3)))
@@ -178,7 +178,7 @@ def test_factors_do_as_well_as_the_statistics_they_are_of():
     np.testing.assert_array_equal(np.array(a.entropy()), np.array(b.entropy()))
 
 
-def test_some_texels_of_many_stand_where_they_belong():
+def test_results_of_some_texels_have_the_right_index():
     """Statistics contain seen texels only; all other texels have the prior."""
     statistics = of(random_samples(np.random.default_rng(44), 3, 1))
     texel = np.array([6, 1, 4], np.uint32)

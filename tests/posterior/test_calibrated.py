@@ -93,7 +93,7 @@ def setting() -> tuple[svu.Posterior, oracle.Truth]:
     return calibrated_posterior(statistics(samples)), truth
 
 
-def test_energies_are_those_of_the_samples() -> None:
+def test_energies_match_the_samples() -> None:
     samples, _ = simulate(40, 9, 0.05)
     factors = statistics(samples).factor()
     rng = np.random.default_rng(1)
@@ -159,7 +159,7 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5
 
 
-def test_noise_is_that_of_student() -> None:
+def test_noise_matches_the_student_prior() -> None:
     least, views = np.array([3.0, 10.0, 40.0, 0.0, 0.0]), np.array([10, 10, 10, 3, 0])
     for assumed in (0.02, 2.0):
         variances = noise_variance(least, views, 3, 4.0, assumed)
@@ -189,7 +189,7 @@ def test_another_view_never_lowers_the_noise_at_once(noise: float) -> None:
     assert steps.max() < 0.45
 
 
-def test_noise_above_what_is_assumed_shows_at_once() -> None:
+def test_noise_above_the_assumed_value_shows_at_once() -> None:
     views = np.full(400, 4)
     least = 0.3**2 * np.random.default_rng(0).chisquare(7, 400)
     variances = noise_variance(least, views, 3, 4.0, 0.02)
@@ -244,7 +244,7 @@ def test_intervals_are_the_shortest_that_hold_enough(
 
 
 @pytest.mark.slow
-def test_sets_hold_what_the_model_draws() -> None:
+def test_credible_sets_cover_samples_of_the_model() -> None:
     """With parameters sampled from the prior, the coverage of intervals equals their level."""
     samples, truth = simulate(4000, 10, 0.15, seed=3)
     posterior = calibrated_posterior(
@@ -288,7 +288,7 @@ def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth])
     assert np.corrcoef(cov, own)[0, 1] > 0.95
 
 
-def test_what_was_never_seen_is_the_prior() -> None:
+def test_unseen_texels_have_the_calibrated_prior() -> None:
     samples, _ = simulate(32, 6, 0.1)
     table, weight, views = samples.sums(), samples.w.sum(axis=1), np.full(32, 6)
     table[..., 7], weight[7], views[7] = 0, 0, 0
@@ -333,7 +333,7 @@ def test_a_prior_of_cells_is_bayes() -> None:
 
 
 @pytest.mark.slow
-def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
+def test_shared_prior_matches_expectation_maximisation() -> None:
     """Compare with the prior that the oracle learns from the same texels."""
     samples, _ = simulate(100, 12, 0.2)
     alone = calibrated_posterior(statistics(samples))
@@ -355,7 +355,7 @@ def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
 @pytest.mark.parametrize(("views", "noise", "materials", "parts"), [
     (8, 0.25, 2, (0.7, 0.7, 0.9)), (12, 0.1, None, (1.2, 1.2, 1.2)),
 ])  # fmt: skip
-def test_a_prior_in_common_tells_materials_apart(views, noise, materials, parts) -> None:
+def test_shared_prior_separates_materials(views, noise, materials, parts) -> None:
     """A few views determine a texel poorly, but many texels determine two materials.
 
     For parameters sampled from the prior, the prior learned from 600 texels is noisy.
@@ -524,7 +524,7 @@ def test_draws_of_grey_light_have_three_channels() -> None:
 
 
 @pytest.mark.slow
-def test_a_prior_of_one_cell_leaves_nothing_open() -> None:
+def test_prior_of_one_bin_has_entropy_0() -> None:
     samples, _ = simulate(8, 6, 0.2)
     weights = np.zeros((8, 8, 8))
     weights[3, 0, 5] = 1

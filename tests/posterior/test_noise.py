@@ -52,7 +52,7 @@ def test_a_glaring_pixel_does_not_change_the_map(vase, value):
     assert entropy.mean() == pytest.approx(vase.estimate.entropy.numpy().mean(), abs=0.01)
 
 
-def test_photographs_that_are_what_they_seem_lose_no_pixel(vase):
+def test_valid_photographs_lose_no_pixel(vase):
     views = pack_views(vase.capture)
     with warnings.catch_warnings(action="error", category=SvuWarning):
         again = pack_views(with_hot_pixel(vase.capture, 1.0))

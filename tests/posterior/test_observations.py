@@ -80,7 +80,7 @@ def test_an_estimate_traces_everything_once(capture, layout, calls):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", USES)
-def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, calls, name):
+def test_later_stages_trace_no_ray_again(capture, layout, calls, name):
     """No rays to cameras or light cells are traced again, except from unseen texels."""
     estimate = svu.estimate(capture, layout)
     calls.clear()
@@ -108,7 +108,7 @@ def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, mo
 
 
 @pytest.mark.slow
-def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls):
+def test_observations_can_replace_an_estimate(capture, layout, calls):
     observed = module.observe(capture, layout)
     assert calls == {"pack_views": 1, "trace_visibility": 1}
     first = svu.estimate(observed)
@@ -119,7 +119,7 @@ def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls)
     assert first.observed is observed
 
 
-def test_what_is_hidden_from_nothing_traces_no_cell(capture, layout, calls):
+def test_presets_without_occlusion_trace_no_light_cell(capture, layout, calls):
     """``fast`` and ``paper`` read prefiltered light."""
     for preset in ("fast", "paper"):
         svu.estimate(capture, layout, preset=preset)
@@ -137,7 +137,7 @@ def test_other_texels_or_none_are_refused(capture, layout):
             use(capture)
 
 
-def test_a_reference_of_texels_that_nobody_sees_knows_nothing(capture, layout):
+def test_reference_of_unseen_texels_has_entropy_1(capture, layout):
     one = chosen_views(capture, [0])  # from one side, so that the other side is unseen
     estimate = svu.estimate(one, layout)
     unseen = np.flatnonzero(estimate.observed.coverage == 0)[:4]

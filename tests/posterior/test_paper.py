@@ -47,7 +47,7 @@ ROUGHNESS, KS = np.linspace(0, 1, 5), np.linspace(0, 1, 4)
 ALPHAS = ROUGHNESS**2
 
 
-def test_settings_are_those_of_the_paper():
+def test_settings_match_the_paper():
     """Numbers in the text: 8 x 8 bins, lambda, l*, Adam's rate and steps, weights, 32 paths."""
     spectra, sh, path = preset("paper"), SH_PRESETS["paper"], PATH_PRESETS["paper"]
     grid = spectrum_grid(None, spectra)

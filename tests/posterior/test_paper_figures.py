@@ -60,7 +60,7 @@ def plane_entropies(planes, light, method, switches):
     "method, name",
     [("angular", "paper"), ("spectrum", "paper"), ("angular", "fixed"), ("spectrum", "default")],
 )
-def test_figure_2_clear_light_tells_more_about_the_glossy_plane(planes, method, name):
+def test_figure_2_clear_light_helps_the_glossy_plane(planes, method, name):
     """Overcast light determines neither plane; clear light determines the glossy one.
 
     Over (roughness, Ks), as in the figure; the SH model as printed uses all three parameters.

@@ -125,7 +125,7 @@ def uneven(shape):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
 @pytest.mark.parametrize("switches", [*RULES, None], ids=lambda s: s and f"{s.name}-{s.channels}")
-def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
+def test_unseen_texels_have_the_prior_for_their_posterior(switches, prior):
     """For all noise rules, and on the principled grid."""
     S_L, S_B = spectra(np.random.default_rng(6), 9)
     grid, more = GRID, {"preset": switches}
@@ -193,7 +193,7 @@ def test_map_recovers_the_truth(channels):
     np.testing.assert_allclose(got, np.broadcast_to(truth[:, 1:], got.shape), atol=1e-6)
 
 
-def test_prefilter_of_the_light_is_undone_when_asked():
+def test_undo_prefilter_corrects_band_limited_light():
     """Only light is band-limited, so the exponent is alpha^2 - alpha'^2."""
     rough, Ks = oracle.nodes(8, 8, "dielectric")
     l = np.arange(L + 1)
@@ -242,7 +242,7 @@ def test_degree_0_decides_on_the_diffuse_part(channels):
         assert abs(H[t] - np.mean([oracle.entropy(q) for q in truth])) < 2e-6
 
 
-def test_a_grid_that_needs_more_than_there_is_says_so():
+def test_grid_with_missing_inputs_is_refused():
     for more, sentence in (
         ({}, "PrincipledGrid needs the irradiance"),
         ({"preset": "paper", "irradiance": np.ones((2, 3))}, "channels='sum'"),

@@ -46,7 +46,7 @@ def shown(request, vase):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "paper"])
-def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
+def test_tiles_match_all_texels_at_once(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)
     apart = tiled(shown, vase.texels, preset=preset)
     assert isinstance(apart.posterior.kernel, TiledKernel)
@@ -58,7 +58,7 @@ def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
         )
 
 
-def test_what_is_asked_of_some_texels_is_made_again_for_them(vase, tiled):
+def test_requests_for_some_texels_recompute_only_these(vase, tiled):
     together, apart = vase.estimate.posterior, tiled(vase.capture, vase.texels).posterior
     chosen = np.random.default_rng(0).permutation(together.count)[:700]
     for ask in (

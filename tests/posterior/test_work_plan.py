@@ -116,7 +116,7 @@ def test_every_switch_leaves_the_result(estimates, method, rule, name):
     assert (unseen == unseen[0]).all()
 
 
-def test_the_record_says_what_was_skipped(grey, caplog):
+def test_record_lists_skipped_work(grey, caplog):
     capture, texels = grey
     with caplog.at_level(logging.INFO, logger="svu_mi.posterior.work_plan"):
         result = estimate(capture, texels, prior=PRIOR, known={"metallic": 0.0})
@@ -151,7 +151,7 @@ def test_work_is_really_left_out(grey, name):
         assert set(few.roughness.bin) == {2, 3}
 
 
-def test_one_channel_stands_for_three(grey):
+def test_one_grey_channel_replaces_three(grey):
     one, three = (estimate(*grey, "spectrum", "paper", skip=skip) for skip in (Skip(), NOTHING))
     assert one.skipped["channels of the photographs equal to another"] == 2
     np.testing.assert_allclose(entropy(one), entropy(three), atol=TOLERANCE)
@@ -198,7 +198,7 @@ def test_a_bright_grey_sun_does_not_make_a_coloured_sky_grey(tmp_path):
 @pytest.mark.parametrize("method, rule", [("angular", "fixed"), ("spectrum", "default")])
 @pytest.mark.parametrize("name, node", [("metallic", 0), ("metallic", 7), ("roughness", 3),
                                         ("base_color", 5)])  # fmt: skip
-def test_a_known_value_is_a_prior_that_says_so(grey, method, rule, name, node):
+def test_known_value_equals_prior_on_its_node(grey, method, rule, name, node):
     """H log n equals the whole grid's under a prior that allows only that node."""
     capture, texels = grey
     prior = np.zeros((8, 8, 8))
@@ -257,7 +257,7 @@ def test_another_prior_needs_no_other_kernel(grey, method, rule):
             assert sum(detail.launch_stats()[1:]) == compiled
 
 
-def test_what_a_material_does_not_vary(grey, tmp_path):
+def test_constants_of_a_material(grey, tmp_path):
     capture, texels = grey
     assert constant_parameters(capture.shape) == {"metallic": 0.0}
     result = estimate(capture, texels, known="scene")
@@ -291,7 +291,7 @@ def test_known_values_that_are_refused(grey, known, words):
 
 
 @pytest.mark.slow
-def test_pictures_and_record_of_what_is_known(grey, tmp_path):
+def test_pictures_and_record_with_a_known_parameter(grey, tmp_path):
     """Overview, figures and run.json with an axis of one node, whose marginal is constant."""
     import json
 

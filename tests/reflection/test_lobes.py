@@ -101,7 +101,7 @@ def test_moments_hold_disneys_diffuse_model(roughness):
 
 
 @pytest.mark.parametrize("roughness", [0.2, 0.9])
-def test_the_diffuse_model_is_that_of_mitsuba(roughness):
+def test_diffuse_model_matches_mitsuba(roughness):
     """Specular lobes of dielectrics do not depend on base colour: white minus black is diffuse."""
     rng = np.random.default_rng(8)
     up = np.array([0, 0, 1.0])
@@ -137,7 +137,7 @@ def test_light_from_one_direction_is_not_blurred(alpha):
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
 @pytest.mark.parametrize("rho", [0.02, 0.1, 1.0])
-def test_light_from_a_disk_is_that_of_its_formula(alpha, rho):
+def test_light_from_a_disk_matches_the_formula(alpha, rho):
     """Also for disks larger than the lobe."""
     up, incident = np.linspace(0.3, 0.99, 30), np.linspace(0.05, 1, 30)
     ours = blurred_ggx(float_array(up), float_array(incident), [alpha], rho**2)[0].numpy()
@@ -175,7 +175,7 @@ def averages(alpha, tilt, rho):
     return oracle.ggx(cosine, alpha).mean(), oracle.ggx(np.cos(tilt), alpha)
 
 
-def test_fresnel_is_that_of_snells_angles():
+def test_fresnel_matches_snells_law():
     cosine = np.linspace(1e-3, 1, 200)
     exact = oracle.fresnel(cosine)
     np.testing.assert_allclose(dielectric_fresnel(cosine), exact, rtol=1e-12)

@@ -105,7 +105,7 @@ def below(first: object, seen: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("count", [64, 100])
-def test_what_is_not_refined_is_the_sum_over_visible_cells(
+def test_unrefined_lobe_is_the_sum_over_visible_cells(
     count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Compare with the exact BRDF of each coarse cell, blurred over its disk."""
@@ -170,7 +170,7 @@ def test_one_channel_is_the_mean_of_three() -> None:
 
 
 @pytest.mark.slow
-def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
+def test_rough_metal_under_a_sun_matches_mitsuba() -> None:
     """Prefiltered light has errors of tens of percent here, sums do not."""
     light = {"type": "envmap", "bitmap": mi.Bitmap(spotted())}
     mesh = capture_mesh.make_mesh("ball", ball(96, 48))

@@ -53,7 +53,7 @@ def test_weight_is_1_far_below_bound_and_0_far_above():
     assert h[1] < 1e-5 and np.isfinite(t[1])
 
 
-def test_the_best_models_are_those_of_a_search():
+def test_best_models_match_a_search():
     rng = np.random.default_rng(3)
     columns = rng.uniform(0.1, 1, (3, 5, 12, 2, 4))  # levels, texels, views, channels, columns
     truth = rng.uniform(0.2, 0.8, (5, 2))
@@ -115,7 +115,7 @@ def test_channels_that_are_clipped_are_known_to_be_bright(tmp_path):
 
 
 @pytest.mark.slow
-def test_gains_are_divided_out_of_what_is_clipped(shiny):
+def test_saturation_levels_are_divided_by_gains(shiny):
     observed = observe(shiny, svu.texels(shiny.mesh, 32))
     stored, _ = in_integers(shiny, observed, 0.03)
     gains = FoundGains(np.log(np.full((16, 3), [2.0, 1.0, 0.5])), np.ones(16), np.zeros(16, bool))
@@ -124,7 +124,7 @@ def test_gains_are_divided_out_of_what_is_clipped(shiny):
         np.testing.assert_allclose(other.least, one.least / [2, 1, 0.5], rtol=1e-6)
 
 
-def test_what_is_not_clipped_is_as_before(shiny):
+def test_unsaturated_texels_are_unchanged(shiny):
     observed = observe(shiny, svu.texels(shiny.mesh, 32))
     none = tuple(Saturation.of(np.zeros((64, 64, 3), bool), 1.0) for _ in range(16))
     same = observe(replace(shiny, clipped=none), observed.texels)
@@ -132,7 +132,7 @@ def test_what_is_not_clipped_is_as_before(shiny):
 
 
 @pytest.mark.slow
-def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
+def test_texels_saturated_in_all_views_are_bright(vase):
     """Saturated texels are seen; their radiance has a lower bound."""
     before = vase.estimate
     stored, _ = in_integers(vase.capture, before.observed, 0.3)
@@ -161,7 +161,7 @@ def test_texels_are_unseen_if_preset_ignores_saturated_samples(vase):
         assert not np.array(estimate.coverage)[always].any(), name
 
 
-def test_an_object_that_is_clipped_altogether_is_said_to_be(vase):
+def test_completely_saturated_object_is_refused(vase):
     stored, _ = in_integers(vase.capture, vase.estimate.observed, 1.0)
     with pytest.raises(CaptureError, match="are saturated in all .* use shorter exposures"):
         observe(stored, vase.texels)
@@ -175,7 +175,7 @@ def statistics_of(capture, texels, **options):
     )
 
 
-def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
+def test_saturated_highlight_still_determines_roughness(shiny):
     """Without its saturated pixels, roughness at the highlight is unknown; bounds determine it."""
     texels = svu.texels(shiny.mesh, 48)
     observed = observe(shiny, texels)

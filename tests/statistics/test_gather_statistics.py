@@ -130,7 +130,7 @@ def test_samples_count_less_the_more_parameters_are_off(scene):
         _ = odd + odd
 
 
-def test_texels_nobody_sees_have_no_statistics(scene):
+def test_unseen_texels_have_no_statistics(scene):
     capture = noise_capture(scene, [0])
     observed = observe(capture, svu.texels(capture.mesh, SIZE), skip=Skip(unseen=False))
     statistics = observed.statistics(ROUGHNESS, angular(), 1)
@@ -142,7 +142,7 @@ def test_texels_nobody_sees_have_no_statistics(scene):
     assert (statistics.factor().table()[..., unseen] == 0).all()
 
 
-def test_statistics_of_chosen_texels_are_those_of_all(scene):
+def test_statistics_of_chosen_texels_match_all(scene):
     """Texels in any order, traced together or later, seen or not."""
     observed = seen_in(noise_capture(scene, [0, 4]))
     whole = observed.statistics(ROUGHNESS, angular(), 1)
@@ -238,7 +238,7 @@ def assert_samples(statistics, samples, rtol=1e-6):
         np.testing.assert_allclose(np.moveaxis(errors[..., i, j], 0, -1), exact, rtol=rtol)
 
 
-def test_errors_of_what_fits_are_not_negative():
+def test_errors_of_exact_fits_are_not_negative():
     """Rounding cannot make the square negative if the residual is 0."""
     rng = np.random.default_rng(88)
     w, columns, _ = random_columns(rng, 30, levels=1)
@@ -320,7 +320,7 @@ def upper(samples):
 
 
 @pytest.mark.parametrize("texels", [1, 16, 19])
-def test_factor_is_that_of_a_qr_factorisation(texels):
+def test_factor_matches_qr_factorisation(texels):
     samples = random_columns(np.random.default_rng(12), 14, texels, channels=3)
     samples[0][:] = np.maximum(samples[0], 0.05)
     factors = summed(samples, np.arange(14)).factor()
@@ -328,7 +328,7 @@ def test_factor_is_that_of_a_qr_factorisation(texels):
     np.testing.assert_allclose(factors.reader().weight.numpy(), samples[0].sum(axis=0), rtol=1e-6)
 
 
-def test_the_least_that_nothing_explains_is_kept_apart():
+def test_residual_floor_is_stored_separately():
     """For each channel: levels are relative to the floor, and never negative."""
     samples = random_columns(np.random.default_rng(3), 14, channels=3)
     factors, exact = summed(samples, np.arange(14)).factor(), upper(samples)[:, :, FLOOR] ** 2

@@ -46,7 +46,7 @@ def in_steps(capture: svu.Capture, exposure: float) -> svu.Capture:
 
 @pytest.mark.parametrize("transfer", ["srgb", "gamma 2.2", "linear"])
 @pytest.mark.parametrize("bits", [8, 16])
-def test_steps_are_those_between_codes(bits, transfer):
+def test_steps_match_differences_of_codes(bits, transfer):
     codes = np.arange(2**bits, dtype=np.float64)
     values = decoded(codes / codes[-1], transfer).astype(np.float64)
     steps, middle = np.diff(values), (values[1:] + values[:-1]) / 2
@@ -104,14 +104,14 @@ def test_an_import_keeps_the_steps_and_hdr_has_none(stored):
         np.testing.assert_allclose(rounding.slope, expected.slope, rtol=1e-5)
 
 
-def test_what_was_found_of_photographs_depends_on_their_steps(stored):
+def test_capture_key_depends_on_quantisation_steps(stored):
     _, imported = stored
     other = replace(imported, rounding=())
     assert capture_key(imported) != capture_key(other)
     assert photographs_key(imported) == photographs_key(other)  # light does not depend on steps
 
 
-def test_steps_of_a_measured_curve_are_those_of_its_codes():
+def test_steps_of_a_measured_curve_match_its_codes():
     codes = np.arange(256, dtype=np.float32) / 255
     curve = np.minimum(decoded(codes) / decoded(codes)[250], 1).astype(np.float64)
     curve[:3] = 0  # black up to code 2, white from code 250
@@ -137,7 +137,7 @@ def test_gains_divide_steps(stored):
     assert equalized(replace(imported, rounding=()), gains).rounding == ()
 
 
-def test_the_variance_of_samples_is_that_of_their_steps(vase):
+def test_sample_variance_matches_quantisation_steps(vase):
     dark = in_steps(vase.capture, 0.05)
     seen = observe(dark, vase.texels)
     kappa, eta = 0.4 * seen.unit, 2.0
@@ -171,7 +171,7 @@ def test_photographs_that_round_alike_are_not_sure(vase):
     assert np.array(said.entropy)[seen].mean() > np.array(unsaid.entropy)[seen].mean() + 0.05
 
 
-def test_photographs_of_many_steps_say_what_they_did(vase):
+def test_fine_quantisation_does_not_change_results(vase):
     bright = in_steps(vase.capture, 0.5)
     said = svu.estimate(bright, vase.texels)
     unsaid = svu.estimate(replace(bright, rounding=()), vase.texels)
