@@ -1,4 +1,4 @@
-"""Local memory of Dr.Jit: arrays per lane that loops index, and scatters of their results.
+"""Local memory of Dr.Jit: per-lane arrays with variable indices, and scatters of them.
 
 A block of k numbers is stored in k local arrays that share one index. Dr.Jit then tests once per
 block whether the index is uniform (a load) or not (a gather). Groups of four numbers are stored

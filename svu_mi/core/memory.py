@@ -212,7 +212,7 @@ class Need:
         return self.bytes + SPARE * self._parts()[1]
 
     def _less(self, room: float, reserved: bool = False) -> str:
-        """Return advice: fewer pixels or texels that fit into ``room``; empty if none do."""
+        """Return advice on how many pixels or texels fit into ``room``; empty if none do."""
         shrink, small = 1, self
         while (small._reserved() if reserved else small.bytes) > room:
             photographs, texels = small._parts()

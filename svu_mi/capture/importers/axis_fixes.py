@@ -49,9 +49,9 @@ def rotation(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
 
 FIXES = {fix.name: fix for fix in (
     AxisFix("camera-x180", "camera",
-        "OpenCV camera axes were read as OpenGL's, or the other way round", rotation("x", 180)),
+        "OpenCV camera axes were read as OpenGL's, or vice versa", rotation("x", 180)),
     AxisFix("camera-y180", "camera",
-        "OpenGL camera axes were read as Mitsuba's, or the other way round", rotation("y", 180)),
+        "OpenGL camera axes were read as Mitsuba's, or vice versa", rotation("y", 180)),
     AxisFix("camera-z180", "camera",
         "OpenCV camera axes were read as Mitsuba's, or the photographs are upside down",
         rotation("z", 180)),
@@ -63,26 +63,26 @@ FIXES = {fix.name: fix for fix in (
     AxisFix("mesh-mirror", "mesh",
         "the mesh comes from a left-handed program", np.diag([-1.0, 1.0, 1.0])),
     AxisFix("light-turn-90", "light",
-        "the centre of the environment map is elsewhere", rotation("y", 90)),
+        "the environment map has another direction in its centre", rotation("y", 90)),
     AxisFix("light-turn-180", "light",
         "the centre and the seam of the environment map are exchanged", rotation("y", 180)),
     AxisFix("light-turn-270", "light",
-        "the centre of the environment map is elsewhere", rotation("y", 270)),
+        "the environment map has another direction in its centre", rotation("y", 270)),
     AxisFix("light-mirror", "light",
         "the environment map was saved as seen from outside: left and right are exchanged",
         np.diag([-1.0, 1.0, 1.0])),
     AxisFix("light-flip", "light", "the environment map is upside down", rotation("z", 180)),
     AxisFix("light-x90", "light",
-        "the environment map has another axis up than the world", rotation("x", 90)),
+        "the environment map has another up axis than the world", rotation("x", 90)),
     AxisFix("light-x270", "light",
-        "the environment map has another axis up than the world", rotation("x", 270)),
+        "the environment map has another up axis than the world", rotation("x", 270)),
     AxisFix("texture-flip-v", "texture", "V of the texture coordinates is flipped"),
     AxisFix("mesh-inside-out", "winding", "the faces of the mesh are wound the wrong way"),
 )}  # fmt: skip
 
 
 def find_fixes(names: Sequence[str]) -> tuple[AxisFix, ...]:
-    """Return corrections by name."""
+    """Return the corrections of the given names."""
     require_known(names, FIXES, "fix")
     return tuple(FIXES[name] for name in names)
 

@@ -38,7 +38,7 @@ from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError
 
 JPEG = (".jpg", ".jpeg")
-BORDER = 0.9  # share of the border in a mask from which it counts as inverted
+BORDER = 0.9  # share of border pixels in a mask, from which it counts as inverted
 CLIPPED_LAYER = "clipped."  # prefix of R, G or B
 # Share of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
 # includes 1 % of background; grooves and contact shadows are black in any photograph.

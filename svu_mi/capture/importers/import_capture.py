@@ -103,7 +103,7 @@ def import_capture(
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """Import before any pixel is read; frames have the size of their photographs."""
+    """Planned import, before any pixel is read; frames have the size of their files."""
 
     source: Source
     options: ImportOptions
@@ -193,7 +193,7 @@ def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame
 def _prepare_frames(
     there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[AxisFix]
 ) -> list[Frame]:
-    """Return frames of the size of their photographs, with corrected cameras."""
+    """Return frames with corrected poses, scaled to the size of their photographs."""
     if not there:
         raise CaptureError(f"{source.root}: has no photographs.")
     frames = []

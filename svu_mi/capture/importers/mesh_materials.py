@@ -55,7 +55,7 @@ def textures_of(visual: Any, path: Path) -> Textures:
     """Return the textures of the ``visual`` of a ``trimesh.Trimesh``.
 
     Textures are multiplied by the material's factors (base colour in linear light); normal maps,
-    occlusion and emission are ignored. OBJ materials have only the diffuse picture.
+    occlusion and emission are ignored. Only the diffuse picture of OBJ materials is read.
     """
     material = getattr(visual, "material", None)
     try:

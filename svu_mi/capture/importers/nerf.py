@@ -77,8 +77,8 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     before = np.linalg.inv(applied) if original_world else np.eye(4)
     usual = _default_size(path, record, frames)
     notes = [] if original_world or np.allclose(applied, np.eye(4)) else [
-        f"{path}: has an applied_transform; poses are not converted to the world before it. "
-        "If the mesh is in that world, import with --original-world."
+        f"{path}: has an applied_transform; poses are in the world after it. "
+        "If the mesh is in the world before it, import with --original-world."
     ]  # fmt: skip
     return Source(
         format="transforms",
@@ -93,7 +93,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
 
 
 def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """Return the JSON object of a file and its frames, at least one; raise CaptureError."""
+    """Return the JSON object of a file and its frames; raise CaptureError without frames."""
     record = read_json(path)
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:

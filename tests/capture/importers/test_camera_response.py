@@ -124,7 +124,7 @@ def test_each_channel_has_its_own_curve_and_unit(tmp_path):
     assert least == pytest.approx(SATURATED[8] ** GAMMA, abs=1e-4)  # of the darkest
 
 
-def test_a_table_goes_before_what_the_source_says_and_leaves_floats_alone(tmp_path):
+def test_response_overrides_the_source_and_ignores_floats(tmp_path):
     response = table(tmp_path / "curve.txt", [gamma])
     write_exr(tmp_path / "b.exr", {"RGB": np.full((*SIZE, 3), 0.5, np.float32)})
     frames = [photograph(tmp_path / "a.png", random(8), transfer="linear")]
@@ -188,7 +188,7 @@ def test_files_that_are_no_text_are_a_sentence(tmp_path):
     refused(path, r"too large for a response curve, more than 16 MiB; write one line")
 
 
-def test_numbers_that_single_precision_cannot_hold_decode_to_numbers(tmp_path):
+def test_response_beyond_single_precision_is_finite(tmp_path):
     path = tmp_path / "curve.txt"
     path.write_text("0 0\n1e-40 1e-300\n1e-30 1e307\n1 1.7e308\n")
     radiance = linearize(np.linspace(0, 1, 256, dtype=np.float32), read_response(path), 0)

@@ -250,7 +250,7 @@ TEXT = {
     "twice": ({"images": f"{VIEW_LINE}\n\n{VIEW_LINE}"}, "occurs twice"),
     "a name above": ({"images": VIEW_LINE.replace("a.png", "../a.png")}, "lies outside"),
     "a name elsewhere": ({"images": VIEW_LINE.replace("a.png", "/a.png")}, "lies outside"),
-    "an endless name": ({"images": VIEW_LINE.replace("a.png", "a" * 600)}, "no end"),
+    "an endless name": ({"images": VIEW_LINE.replace("a.png", "a" * 600)}, "too long"),
 }
 
 
@@ -273,7 +273,11 @@ BINARY = {
     "half an image": ("images.bin", lambda b: b[:40], "ends too early"),
     "many images": ("images.bin", lambda b: b"\xff" * 8 + b[8:], "ends too early"),
     "many points": ("images.bin", lambda b: b[:-8] + b"\xff" * 8, "ends too early"),
-    "a name that goes on": ("images.bin", lambda b: b.replace(b"\0" * 9, b"x" * 9), "no end"),
+    "a name that goes on": (
+        "images.bin",
+        lambda b: b.replace(b"\0" * 9, b"x" * 9),
+        "not terminated",
+    ),
     "a name in no alphabet": ("images.bin", lambda b: b.replace(b"a.png", b"a.\xff\xfeg"), "utf-8"),
     "a name above": ("images.bin", lambda b: b.replace(b"a.png", b"../.."), "lies outside"),
 }

@@ -126,7 +126,7 @@ def test_chequers_become_straight_again(name):
 
 
 @pytest.mark.parametrize("name", LENSES)
-def test_the_straight_photograph_is_the_largest_without_empty_borders(name):
+def test_undistorted_photograph_is_largest_without_borders(name):
     lens = Lens(**LENSES[name])
     made = undistorted_frame(frame_of(lens))
     assert made.lens is None and made.focal == FOCAL
@@ -162,7 +162,7 @@ def test_a_lens_that_folds_over_is_refused(numbers):
         undistorted_frame(frame_of(Lens(**numbers)))
 
 
-def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
+def test_lens_valid_only_in_the_middle_is_refused_but_croppable():
     """Real ones do that at the corners: it is not called impossible, and a crop is taken."""
     lens = Lens(**{"k1": -0.26, "k2": 0.09, "k3": -0.015})
     focal = (0.4 * WIDTH, 0.4 * WIDTH)
@@ -178,7 +178,7 @@ def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
     assert undistorted_frame(cropped).size >= size
 
 
-def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp_path):
+def test_photographs_are_undistorted_in_linear_radiance(tmp_path):
     lens = Lens(**LENSES["barrel"])
     ramp = np.broadcast_to(np.linspace(0, 8, WIDTH, dtype=np.float32), (HEIGHT, WIDTH)).copy()
     write_exr(tmp_path / "a.exr", {"RGB": np.stack([ramp] * 3, axis=-1)})
@@ -252,7 +252,7 @@ def test_lenses_of_another_kind(tmp_path, changes, sentence):
         read_transforms(written(tmp_path, **changes))
 
 
-def test_a_distorted_camera_makes_no_sensor_and_a_straight_candidate(tmp_path):
+def test_distorted_camera_has_no_sensor_but_a_pinhole_candidate(tmp_path):
     with pytest.raises(CaptureError, match="the lens is distorted; .* use svu import"):
         frame_of(Lens(**LENSES["barrel"])).sensor()
     assert Candidates.read(written(tmp_path, k1=-0.1)).count == 1

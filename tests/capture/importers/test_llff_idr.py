@@ -193,7 +193,7 @@ def test_cameras_of_idr_are_read(tmp_path, file):
     ]
 
 
-def test_the_sphere_goes_before_cameras_that_were_not_normalized(tmp_path):
+def test_cameras_sphere_is_preferred_to_cameras(tmp_path):
     write_idr(tmp_path, matrices(CENTERED, None), "cameras.npz")
     same(read_source(write_idr(tmp_path)), SHIFTED)
 

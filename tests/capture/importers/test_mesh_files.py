@@ -241,7 +241,7 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     assert header[SATURATION] == pytest.approx(0.98**2.2, rel=1e-5)
 
 
-def test_a_pixel_that_is_made_of_clipped_ones_and_others_is_not_usable(tmp_path):
+def test_average_of_saturated_and_other_pixels_is_unusable(tmp_path):
     pixels = np.full((4, 8, 3), 128, np.uint8)
     pixels[:, 3:] = 255  # columns 1 (of 2 and 3) and 2, 3 of half as many
     convert_photograph(photograph(tmp_path / "photo.png", pixels), tmp_path / "view.exr", (0.5, 1))
@@ -598,7 +598,7 @@ def test_only_an_earlier_import_is_replaced(source, tmp_path):
         import_capture(source, tmp_path / "file")
 
 
-def test_pixels_marked_by_the_import_are_left_out_without_a_word(source, tmp_path):
+def test_pixels_marked_by_the_import_are_ignored_silently(source, tmp_path):
     pixels = np.full((6, 8, 3), 90, np.uint8)
     pixels[2, 3:5] = 255
     Image.fromarray(pixels).save(source.root / "0.png")

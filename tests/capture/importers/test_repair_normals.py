@@ -78,7 +78,7 @@ def test_uvs_go_along_and_nothing_is_moved():
     np.testing.assert_array_equal(mesh.uvs[mesh.faces], given.uvs[given.faces])
 
 
-def test_smooth_meshes_get_no_more_vertices_and_damaged_triangles_no_edges():
+def test_smooth_mesh_and_degenerate_triangles_add_no_vertices():
     ball = buffers(trimesh.creation.icosphere(subdivisions=3))
     sliver = np.concatenate([ball.faces, [[0, 0, 1], [5, 5, 5]]])
     for mesh, notes in (

@@ -127,7 +127,7 @@ def _label(model: Path, view: Pose) -> str:
 
 
 def _possible_folders(model: Path, name: str) -> list[Path]:
-    """Return candidates of a folder: in the folder of the model, and in folders above."""
+    """Return candidate paths of the folder ``name``, next to the model and above it."""
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
     return [Path(os.path.normpath(model / up / name)) for up in ways]

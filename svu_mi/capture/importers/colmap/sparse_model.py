@@ -177,7 +177,7 @@ class _BinaryReader:
     def text(self) -> str:
         end = self._data.find(b"\0", self._at, self._at + LONGEST_NAME)
         if end < 0:
-            raise ValueError("a name has no end")
+            raise ValueError("a name is not terminated")
         start = self.skip(end + 1 - self._at)
         return self._data[start:end].decode()
 
@@ -251,7 +251,7 @@ def _parse_views(path: Path) -> list[Pose]:
         for line in filter(_has_content, lines):
             _, *fields, camera, name = _fields(line.strip(), VIEW_FIELDS, len(VIEW_FIELDS) - 1)
             if len(name) > LONGEST_NAME:
-                raise ValueError("a name has no end")
+                raise ValueError("a name is too long")
             pose = [float(field) for field in fields]
             views.append(Pose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
             # Every second line contains the image's points, and may be empty.

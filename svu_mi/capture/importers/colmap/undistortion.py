@@ -123,7 +123,7 @@ def _run_pycolmap(
         capture_output=True, text=True, errors="replace",
     )  # fmt: skip
     if done.returncode != 0:
-        lines = done.stderr.strip().splitlines() or ["it was ended"]
+        lines = done.stderr.strip().splitlines() or ["the process was killed"]
         reason = next((line for line in lines if "Check failed" in line), lines[-1])
         raise CaptureError(
             f"{pictures}: COLMAP cannot undistort these ({reason[-LONGEST:]}); check the cameras."
