@@ -15,7 +15,7 @@ SIZE = 24
 
 
 def scene(integrator: dict, **shapes) -> mi.Scene:
-    """Return a camera that sees the rectangle [-1, 1]^2 fill its film, texel for pixel."""
+    """Return a camera that maps texels of the rectangle [-1, 1]^2 to pixels one to one."""
     look = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
     return mi.load_dict(
         {
@@ -35,7 +35,7 @@ def picture(integrator: dict, **shapes) -> np.ndarray:
 
 @pytest.fixture
 def values(variant) -> np.ndarray:
-    """A map as large as the film, in no way symmetric."""
+    """An asymmetric map of the resolution of the film."""
     return np.random.default_rng(27640183).random((SIZE, SIZE)).astype(np.float32)
 
 
@@ -165,7 +165,7 @@ def test_wrong_properties_are_named(file, wrong, sentence):
 
 
 def test_an_unknown_shape_is_named_with_those_there_are(file):
-    with pytest.raises(RuntimeError) as caught:  # Mitsuba's own, around the plugin's
+    with pytest.raises(RuntimeError) as caught:  # Mitsuba's error, caused by the plugin's
         picture({"map": file, "shape": "vase"})
     assert "no shape 'vase'; it has 'wall'" in str(caught.value.__cause__)
 

@@ -65,7 +65,7 @@ def ball(bsdf, light=None, size=SIZE, integrator=None, **more):
 
 
 def psnr(image, reference):
-    """Of sRGB-like values of the object's pixels, exposed so that the 90 % quantile is 1/2."""
+    """Return the PSNR of gamma-encoded object pixels, with a 90 % quantile of 1/2."""
     inside = reference.sum(axis=-1) > 0
     exposure = 0.5 / np.quantile(reference[inside], 0.9)
     a, b = (np.clip(x * exposure, 0, 1)[inside] ** (1 / 2.2) for x in (image, reference))
@@ -99,7 +99,7 @@ def test_images_are_close_to_path_tracing(name, light, preset, decibels):
 
 @pytest.mark.slow
 def test_mirror_shows_light_and_wall_its_irradiance():
-    """Under constant light nothing depends on the angle but Fresnel's term."""
+    """Under constant light only the Fresnel term depends on the angle."""
     white = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}}
     mirror = {"type": "principled", "metallic": 1.0, "roughness": 0.0,
               "base_color": {"type": "rgb", "value": 1.0}}  # fmt: skip
@@ -131,7 +131,7 @@ def test_the_background_is_the_environment_unless_hidden():
 
 @pytest.mark.slow
 def test_both_sides_of_a_twosided_bsdf_are_shown():
-    """A sheet seen from behind: black, or as from the front when turned around."""
+    """A sheet seen from behind: black, or with twosided as from the front."""
     T = mi.ScalarTransform4f
     for twosided in (False, True):
         images = []
@@ -162,7 +162,7 @@ def two_sided(bsdf):
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("preset", "twosided"), [("default", True), ("gaussian", False)])
 def test_gradients_are_those_of_finite_differences(preset, twosided):
-    """For all three textures, along random directions, with the same camera rays."""
+    """Random directions in all three textures, with the same camera rays."""
     bsdf = two_sided(paint()) if twosided else paint()
     scene, integrator = ball(bsdf), load(preset=preset, occlusion=False)
     params = mi.traverse(scene)
@@ -196,7 +196,7 @@ def test_gradients_are_those_of_finite_differences(preset, twosided):
 
 @pytest.mark.slow
 def test_it_replaces_prb_in_an_optimisation():
-    """Two steps into the loop nothing is compiled any more, and the loss falls."""
+    """After two steps no kernel is compiled, and the loss falls."""
     scene = ball(paint())
     reference = mi.render(scene, integrator=load(), spp=64)
     params, integrator = mi.traverse(scene), load(max_depth=3, rr_depth=5)
@@ -241,7 +241,7 @@ def test_changes_of_the_light_are_seen():
 
 
 def refusal(scene):
-    with pytest.raises(RuntimeError) as caught:  # Mitsuba's own, around the plugin's
+    with pytest.raises(RuntimeError) as caught:  # Mitsuba's error, caused by the plugin's
         mi.render(scene, integrator=load(), spp=1)
     return str(caught.value.__cause__)
 

@@ -1,4 +1,4 @@
-"""Descent: the right minimum, within bounds, without new kernels or growing memory."""
+"""Descent: minimum, bounds, kernels and memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def truth(seed=0, shape=SHAPE):
 
 
 def towards(wanted):
-    """A parabola around some values."""
+    """A quadratic loss around given values."""
     target = as_tensor(wanted)
 
     def objective(textures, step):
@@ -38,7 +38,7 @@ def towards(wanted):
 
 
 def adam(wanted, options):
-    """Adam with projection, in NumPy and float64, straight from Kingman and Ba (2015)."""
+    """Adam with projection in NumPy and float64 [Kingma and Ba 2015]."""
     value = np.full(wanted.shape, 0.5)
     m, v = np.zeros_like(value), np.zeros_like(value)
     losses = []
@@ -143,7 +143,7 @@ def test_rates_can_be_scaled_by_parameter():
 
     options = DescentOptions(steps=4, learning_rate=0.02, final_rate=1.0, scales={"roughness": 0.5})
     moved = {n: 0.5 - np.array(v) for n, v in descend(objective, start, options).values.items()}
-    # Down a constant slope, Adam's steps are the rate itself.
+    # For constant gradients, steps of Adam equal the rate.
     assert np.allclose(moved["base_color"], 0.08, atol=1e-5)
     assert np.allclose(moved["roughness"], 0.04, atol=1e-5)
 

@@ -161,7 +161,7 @@ def start_run(tmp_path, out, pause, resume):
     return subprocess.Popen(
         [sys.executable, str(script), str(tmp_path / "c.npz"), str(tmp_path / out), str(pause),
          "resume" if resume else "fresh"], stdout=subprocess.PIPE, text=True,
-        # Elsewhere than at a terminal, Ctrl-C may be off.
+        # Without a terminal, SIGINT may be ignored.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
     )  # fmt: skip
 
@@ -197,7 +197,7 @@ def whole(tmp_path_factory):
 
 
 def test_killed_and_resumed_run_has_the_same_textures(tmp_path, whole):
-    """Bit for bit: one thread, and no sum whose order depends on chance."""
+    """Bitwise: one thread, and no sums of random order."""
     interrupt(tmp_path, float(np.random.default_rng(1).uniform(0, 0.7)), signal.SIGKILL)
     resumed, first = finish(tmp_path, "resumed.npz", resume=True)
     assert first > 0

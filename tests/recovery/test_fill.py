@@ -180,7 +180,7 @@ def test_groups_are_all_known_or_all_unknown() -> None:
         assert groups.weights[0, group] == pytest.approx(w.sum())
         assert groups.values[0, group] == pytest.approx((w * v).sum() / w.sum())
         assert groups.single[0, group] in v
-    # Groups are linked where texels are.
+    # Links of groups follow from links of texels.
     linked, wanted = set(), set()
     for column in groups.smoother.around:
         linked |= set(enumerate(np.array(column).tolist()))
@@ -200,7 +200,7 @@ def test_values_spread_equally_over_groups_and_texels(monkeypatch, title: str) -
     groups, second = groups.halved
     assert groups.count < graph.count / 12
     ((_, coarse),) = tv_predictions(groups, {title})
-    # A group is as wide as a slope of .02, whose own deviation is .006.
+    # A group spans a slope of 0.02, with a standard deviation of 0.006.
     assert np.sqrt(((coarse[:, second[first]] - fine)[:, hole] ** 2).mean()) < 0.008
 
 
@@ -214,7 +214,7 @@ def test_scattered_known_texels_form_no_groups(monkeypatch) -> None:
 
 
 def judged_of(errors: np.ndarray) -> PredictorErrors:
-    """Of one value in two parts: (P, G, w) errors."""
+    """Return predictor errors of one value, from errors (P, G, w) of two parts."""
     trials = [HoldoutErrors(e[:, None], np.full(e.shape[1], 1 / e.shape[1])) for e in errors]
     return PredictorErrors.of(trials, slice(0, 1))
 
@@ -240,7 +240,7 @@ def test_better_predictors_get_larger_weights() -> None:
     weights = judged_of(errors).weights()
     order = sorted(weights, key=lambda title: -weights[title])
     assert order[:2] == ["turned about y", "near"]
-    # Where spreading is right on one part, and all else is not, it stays.
+    # If total variation alone is right on one part, it keeps its weight.
     errors[1, : len(MEAN_WEIGHTS)] = 0.0
     assert judged_of(errors).share < 0.01
     errors[1] = 0.0  # all are
@@ -338,7 +338,7 @@ def test_large_textures_are_cross_validated_by_groups(monkeypatch, banded) -> No
     monkeypatch.setattr(texel_hierarchy, "MOST_TEXELS", field.texels.count // 2)
     filled = fill(field, ~hidden)
     for name in NAMES:
-        # Other parts are hidden, of texels twice as large.
+        # The coarser texels give other held-out parts.
         assert 0.5 < filled.errors[name] / whole.errors[name] < 2
         new, old = (each.field.values[field.rows(name)] for each in (filled, whole))
         off, before = (np.abs(x - smooth[name].T)[:, hidden].mean() for x in (new, old))
@@ -371,7 +371,7 @@ def test_single_unseen_texel_is_filled(banded: SimpleNamespace) -> None:
 
 @pytest.mark.slow
 def test_filled_sd_is_at_least_the_held_out_error(banded, filled: Filled) -> None:
-    """Of values that are clipped, too, where a normal distribution loses half of its width."""
+    """Also of clipped values, where clipping halves a normal distribution."""
     for name in NAMES:
         assert (filled.field.sd(name)[banded.hidden] > 0.97 * filled.errors[name]).all()
 

@@ -91,12 +91,12 @@ def blended(free: int, predict: Callable[[Any, float], Any], steps: int = 50) ->
 
 @pytest.mark.parametrize("free", [0, 10, 20, 50])
 def test_certain_latents_are_restored_until_the_last_steps(free: int) -> None:
-    """n(x, t) stands where M is 1 in whatever the model is given, as long as it is put back."""
+    """Inputs of the model equal n(x, t) where M is 1, except in the last steps."""
     run = blended(free, lambda latent, time: np.tanh(3 * latent + time))
     assert len(run.given) == 50
     times, inside = run.schedule.times, run.certain
     back = 50 - free
-    assert run.schedule.blended == times[1 : back + 1]  # after the last step, x itself is
+    assert run.schedule.blended == times[1 : back + 1]  # after the last step, x is restored
     for number in range(1, 50):
         a, s = Ddim.parts(times[number])
         right = np.abs(run.given[number] - (a * run.known + s * run.noise))[inside].max() < 1e-12
@@ -171,7 +171,7 @@ def by_truth(painted: SimpleNamespace) -> tuple[Filled, Truth]:
 
 @pytest.mark.slow
 def test_texels_take_the_models_values(painted, by_truth) -> None:
-    """Of a model that knows the truth, texels get the truth: nothing is flipped or shifted."""
+    """A model with true maps gives true texels: maps are not flipped or shifted."""
     result, _ = by_truth
     model = result.invented
     assert model is not None and [answer.source for answer in model.answers] == ["renders"]
@@ -219,7 +219,7 @@ def test_model_input_contains_known_values(painted, by_truth) -> None:
 
 @pytest.mark.slow
 def test_held_out_texels_are_unknown_to_the_model(by_truth) -> None:
-    """Where likeness finds nothing, recovery's values stay, which here are the very truth."""
+    """Values without a prediction are the recovery's, which are true here."""
     filled, _ = by_truth
     assert min(filled.invented.answers[0].likeness.values()) > 0.01
 
@@ -279,7 +279,7 @@ def test_photographs_are_cut_to_the_object(painted, by_quarter) -> None:
 
 
 def test_a_window_of_a_sensor_sees_the_same(vase: SimpleNamespace) -> None:
-    """A point is where it was, but for the corner and the size of pixels."""
+    """Points keep their position, relative to corner and pixel size of the window."""
     sensor = vase.capture.sensors[1]
     window = windowed_sensor(sensor, (7, -3), (60, 45), 1.75)
     place = dr.zeros(mi.SurfaceInteraction3f, vase.texels.count)
@@ -325,7 +325,7 @@ def test_options_are_checked(options: dict[str, Any]) -> None:
 
 
 def folder_of(path: Path, name: object = "MarigoldIntrinsicsPipeline", ext: str = "safetensors"):
-    """A folder that looks like weights, without any."""
+    """Create a folder with the files of a model, but without weights."""
     for part in FOLDERS:
         (path / part).mkdir(parents=True)
         (path / part / f"model.{ext}").write_bytes(b"")
@@ -367,7 +367,7 @@ def test_without_the_extra(tmp_path, monkeypatch, name: str) -> None:
 
 
 def test_the_command_refuses_before_any_work(tmp_path, capsys, monkeypatch) -> None:
-    """Neither the capture nor the textures exist: nothing is read, and the older result stays."""
+    """Capture and textures do not exist and are not read; the older result is kept."""
     monkeypatch.setattr(load_weights, "NEEDED", ("a_torch_that_nobody_has",))
     out = tmp_path / "out"
     write_older(out, "inpaint", "run.json", ["filled.exr"])

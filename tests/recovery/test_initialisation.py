@@ -1,4 +1,4 @@
-"""Smoothing of a start, against the regularisers of textures; and how it is descended on."""
+"""Smoothing of a start, compared with the regularisers of textures; its descent."""
 
 from __future__ import annotations
 

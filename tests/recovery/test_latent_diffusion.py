@@ -1,4 +1,4 @@
-"""Filling by the classes of diffusers and transformers, with tiny weights that know nothing."""
+"""Filling by the classes of diffusers and transformers, with tiny random weights."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MARIGOLD, RGBX = FAMILIES
 
 @pytest.fixture(scope="module", autouse=True)
 def _one_thread() -> Iterator[None]:
-    """Threads of tiny layers wait for each other most of the time, and for other tests."""
+    """Use one thread: tiny layers do not profit from more."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -104,7 +104,7 @@ def test_models_are_given_what_their_pipelines_give_them(folders, name: str) -> 
     latents, _, told = unet.given[0]
     maps = len(family.runs[0].maps)
     assert latents.shape[1] == 3 * (maps + 1)
-    assert told[1] == (2 if name == MARIGOLD else 77)  # empty texts are not padded there
+    assert told[1] == (2 if name == MARIGOLD else 77)  # empty prompts are not padded there
     photograph = latents[:, :3] if name == MARIGOLD else latents[:, -3:]
     shown = given.photograph if name == RGBX else srgb(given.photograph)
     shown = np.pad(shown, [(0, 1), (0, 0), (0, 0)], mode="edge")
@@ -214,7 +214,7 @@ def test_missing_device_is_refused(folders) -> None:
 
 
 def test_without_certain_pixels_it_equals_diffusers(folders) -> None:
-    """From the same noise, the published loop of Marigold makes the same maps."""
+    """The published loop of Marigold gives the same maps from the same noise."""
     from diffusers import MarigoldIntrinsicsPipeline
 
     model = load_model(folders[MARIGOLD], "cpu")

@@ -1,4 +1,4 @@
-"""Mitsuba's own loop: the right pixels, the right rays, the right gradients."""
+"""Recovery by path tracing: pixels, rays and gradients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
 
 def light():
-    """A smooth sky, warm from one side: neither constant nor full of noise."""
+    """A smooth sky, warm on one side: not constant, but with little noise."""
     v, u = np.mgrid[0:16, 0:32]
     sky = np.stack([1 + np.cos(u / 32 * 2 * np.pi), 1 + 0 * u, 1.5 - v / 16], axis=-1)
     return {"type": "envmap", "bitmap": mi.Bitmap(sky.astype(np.float32))}
@@ -223,7 +223,7 @@ def test_a_batch_depends_on_seed_and_step_alone(capture):
 
 @pytest.mark.slow
 def test_renders_and_photographs_are_of_the_same_pixels(capture, grid):
-    """In every view, crop or not; with the true material, all that is left is noise."""
+    """In all views; with the true material, only noise differs."""
     scene = mixed(capture)
     objective = path_objective(scene, grid, options(pixels_per_batch=10**6, spp=512))
     assert objective.batches.size == objective.batches.pixels
@@ -250,7 +250,7 @@ def test_no_usable_pixel_is_refused(capture):
 
 
 def loss_and_gradients(objective, textures, step=0):
-    """The loss of a step, and its gradient by every texture."""
+    """Return the loss of a step, and its gradient in all textures."""
     live = {name: mi.TensorXf(value) for name, value in textures.items()}
     dr.enable_grad(*live.values())
     loss = objective(live, step)
@@ -290,12 +290,12 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
         for gradient in gradients:
             size = float(np.abs(gradient[name] * direction).sum())
             assert abs((gradient[name] * direction).sum() - wanted) < 0.03 * size, name
-            assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
+            assert abs(wanted) > 0.1 * size  # the noise differs
 
 
 @pytest.mark.slow
 def test_gradient_paths_are_independent_of_the_loss(capture, grid):
-    """With the truth, gradients of a squared loss vanish in the mean even for two noisy paths."""
+    """At the truth, mean gradients of a squared loss are 0 even with two paths."""
     objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
 
     truth = textures_of(grid)
@@ -341,7 +341,7 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
 
 @pytest.mark.slow
 def test_resumed_run_equals_uninterrupted_run(capture, grid, tmp_path):
-    """Up to the order in which threads add gradients up, which Adam's division can enlarge."""
+    """Except for the order of additions by threads, which Adam's division amplifies."""
     settings = DescentOptions(steps=15, learning_rate=0.01)
     start = dict(uniform_textures(grid).items())
     whole = descend(path_objective(capture, grid, options()), start, settings)

@@ -38,7 +38,7 @@ def sky() -> dict[str, Any]:
 
 
 def striped() -> dict[str, np.ndarray]:
-    """Two materials in stripes: (H, W, C) each."""
+    """Return two materials in stripes, (H, W, C) by name."""
     stripe = (np.arange(SIZE) // 3 % 2 == 0)[None, :, None]
     return {
         name: np.broadcast_to(
@@ -74,7 +74,7 @@ def truth(grid: Texels) -> Textures:
 
 
 def psnr(textures: Textures, truth: Textures, grid: Texels) -> float:
-    """Mean over the parameters, of all texels."""
+    """Return the PSNR of all texels, averaged over the parameters."""
     errors = [
         ((textures.at(grid, name) - truth.at(grid, name)) ** 2).mean() for name, _ in truth.items()
     ]
@@ -133,7 +133,7 @@ def test_sharing_separates_repeated_materials(
 
 @pytest.mark.slow
 def test_recovery_continues_from_an_estimate(known: svu.Estimate, alone: svu.Recovery) -> None:
-    """The same as from the capture; of other presets and methods, too."""
+    """The result equals a recovery from the capture, for other presets and methods, too."""
     again = svu.recover(known)
     assert again.estimate is known
     for name, tensor in alone.textures.items():
@@ -173,7 +173,7 @@ def only_metals() -> np.ndarray:
 def test_prior_of_the_estimate_is_kept(
     capture: Capture, grid: Texels, preset: str, robust: int
 ) -> None:
-    """However often posteriors are made again."""
+    """The prior is kept if the posterior is recomputed."""
     believed = svu.estimate(capture, grid, preset=preset, prior=only_metals())
     shared = svu.recover(believed, sh=replace(brief(), robust=robust), sharing=True).estimate
     p = np.array(shared.posterior.probabilities)
@@ -259,7 +259,7 @@ def test_the_likelihood_is_that_of_the_posterior(known: svu.Estimate, grid: Texe
     constant = {"base_color": c, "roughness": levels[3], "metallic": m}
     tensors = {n: mi.TensorXf(np.full((SIZE, SIZE, 3 if n == "base_color" else 1), v, np.float32))
                for n, v in constant.items()}  # fmt: skip
-    # Errors that no parameters explain are in both.
+    # Both contain the errors that no parameters explain.
     assert float(Likelihood.of(posterior, grid)(tensors)[0]) == pytest.approx(nats.mean(), rel=1e-3)
 
 
@@ -302,7 +302,7 @@ def test_equal_runs_give_equal_textures(
 
 @pytest.mark.slow
 def test_a_brighter_exposure_changes_nothing(capture: Capture, grid: Texels) -> None:
-    """Radiance times four under light times four: the same object."""
+    """Radiance and light are multiplied by 4, so the object is the same."""
     options = replace(ShOptions(), descent=DescentOptions(steps=20))
     bright = dict(sky(), scale=4.0)
     emitter = mi.load_dict(bright)
@@ -374,7 +374,7 @@ def test_a_checkpoint_of_another_estimate_is_refused(known: svu.Estimate, tmp_pa
 def test_a_checkpoint_of_another_capture_is_refused(
     capture: Capture, grid: Texels, tmp_path: Path, what: str
 ) -> None:
-    """Photographs are the same; how they are to be read is not."""
+    """The photographs are equal; sensors, masks or sharing differ."""
     kept, other = tmp_path / "checkpoint.npz", capture
     svu.recover(capture, grid, sh=brief(), checkpoint=kept)
     svu.recover(capture, grid, sh=brief(), checkpoint=kept, resume=True)

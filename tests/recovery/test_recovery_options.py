@@ -52,7 +52,7 @@ def expected(method: str, name: str) -> dict[str, dict[str, Any]]:
 
 
 def test_unknown_preset_is_refused_with_alternatives():
-    """So is the method that has it: "'coefficients' is a preset of method 'sh'."."""
+    """The message names a method with this preset: "'coefficients' is a preset of method 'sh'."."""
     tables = {"sh": SH, "path": PATH, "sh+path": BOTH}
     for method, table in tables.items():
         for name in {*SH, *PATH, "best"} - set(table):
@@ -193,7 +193,7 @@ def check_data(part: str, data: Any, options: dict[str, Any]) -> None:
 
 
 def test_a_start_is_that_of_the_preset(seen, recorded):
-    """The paper starts from 0.5 everywhere: nothing smooths a closed form before."""
+    """The paper starts at 0.5 everywhere, without a smoothed closed form."""
     svu.recover(seen, preset="paper")
     assert len(recorded.descents) == 1
     svu.recover(seen)

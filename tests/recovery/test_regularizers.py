@@ -44,7 +44,7 @@ def a_texture(seed: int, channels: int | None = 3, resolution=RESOLUTION) -> np.
 
 
 def differentiated(regularizer: Any, values: np.ndarray) -> tuple[float, np.ndarray]:
-    """Loss and gradient, as a caller's own loop gets them."""
+    """Return loss and gradient, as in the loop of a caller."""
     texture = as_tensor(values)
     dr.enable_grad(texture)
     loss = regularizer(texture)
@@ -73,7 +73,7 @@ def check_gradient(oracle: Any, gradient: np.ndarray, values: np.ndarray, seed: 
 
 
 def variation(where, around, values, epsilon=1e-2) -> float:
-    """Mean over pairs, float64, straight from the definition."""
+    """Return the mean over pairs in float64, by the definition."""
     psi = flat(where, values)
     first, second = (column.numpy() for column in around.pairs)
     difference = psi[first] - psi[second]
@@ -248,7 +248,7 @@ def an_estimate(energies: np.ndarray, observed: np.ndarray, where: Texels) -> Es
 
 @cache
 def materials(seed: int) -> Estimate:
-    """Left and right half are of two materials, known here and there; the poles were not seen."""
+    """Two materials in the left and right half with few certain texels; the poles are unseen."""
     where, _ = sphere()
     rng = np.random.default_rng(seed)
     energies = rng.random((where.count, *GRID.shape))
@@ -313,7 +313,7 @@ def test_sharing_weights_form_an_image():
 
 @pytest.mark.parametrize("divergence", ["forward", "reverse"])
 def test_texels_are_pulled_to_plausible_seeds(divergence):
-    """Of two certain materials, a third certain one is like neither."""
+    """A third certain material differs from both certain seeds."""
     where, _ = sphere()
     energies = np.full((where.count, *GRID.shape), 30.0)
     a, b, c = (0, 0), (3, 2), (1, 1)
@@ -359,7 +359,7 @@ def test_single_texel_is_its_own_seed():
 
 
 def test_all_posteriors_of_the_package_share():
-    """A distribution per channel: the mean of their divergences, as Posterior.kl has it."""
+    """Distributions per channel: the mean of their divergences, as in Posterior.kl."""
 
     class PerChannel(TabulatedKernel):
         channels = 3
@@ -396,7 +396,7 @@ def test_divergences_do_not_depend_on_chunks(monkeypatch):
 def oracle_minima(
     values: np.ndarray, observed: np.ndarray, pairs: set[tuple[int, int]]
 ) -> list[int]:
-    """Walk over every plateau of equal values; that without a lower neighbour is a minimum."""
+    """Visit every plateau of equal values; it is a minimum without a lower neighbour."""
     beside: dict[int, set[int]] = {t: set() for t in np.flatnonzero(observed).tolist()}
     for a, b in pairs:
         if observed[a] and observed[b]:
@@ -421,7 +421,7 @@ def oracle_minima(
 @pytest.mark.parametrize("steps", [3, 8, 1 << 40])
 @pytest.mark.parametrize("part", [1.0, 0.6, 0.0])
 def test_least_minima_match_a_search_over_all_texels(scene, surface, steps, part):
-    """With ties and without; over seams; unseen texels are never seeds and hide none."""
+    """With and without ties, across seams; unseen texels are not seeds and have no effect."""
     where, mesh = scene()
     around = neighbors(where, mesh if surface else None)
     rng = np.random.default_rng(2083364731 + steps)
@@ -447,7 +447,7 @@ def test_seeds_are_seen_certain_and_few():
 
 
 def test_seeds_are_of_different_materials():
-    """One material is a little more certain everywhere; the other is not forgotten."""
+    """Both materials get seeds, although one is more certain everywhere."""
     where, mesh = sphere()
     rng = np.random.default_rng(1931)
     left = where.index.numpy() % RESOLUTION[0] < RESOLUTION[0] // 2

@@ -37,7 +37,7 @@ SIZE = 12
 
 
 def angular(name, **switches):
-    if name == "gaussian":  # the paper's lobes, of light that is known everywhere
+    if name == "gaussian":  # the paper's lobes without the fit of light
         name, switches = "paper", {"name": name, "fit": None} | switches
     return preset(name, method="angular", **switches)
 
@@ -92,7 +92,7 @@ def moments_of(moments):
 
 
 def part(mirror, alpha):
-    """Some part of a lobe's light, smooth in both; NumPy and Dr.Jit alike."""
+    """A smooth function of two arguments for NumPy and Dr.Jit, in place of visibility."""
     x, y, z = mirror
     return 0.5 + 0.3 * x * y - 0.2 * alpha * z
 
@@ -134,7 +134,7 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
     color, metallic = [0.3, 0.6, 0.9], 0.4
     green = mixed_radiance(parts, color, [mi.Float(metallic)])[1]
     dr.forward(rough)
-    step = 1e-6  # a kink is at every level
+    step = 1e-6  # the slope is discontinuous at every level
     every = np.full(len(normal), metallic)
     ends = [oracle.radiance(exact(roughness + s * step), np.array(color), every) for s in (1, -1)]
     difference = ((ends[0] - ends[1]) / (2 * step))[:, 1]

@@ -31,7 +31,7 @@ EPSILON = 0.01
 
 
 def square(side: int = SIDE) -> np.ndarray:
-    """(4, T) neighbours of a square of texels, itself in the last ones where there are fewer."""
+    """Return neighbours (4, T) of a square of texels; missing ones are the texel itself."""
     number = np.arange(side * side).reshape(side, side)
     padded = np.pad(number, 1, constant_values=-1)
     around = np.stack([padded[1:-1, 2:], padded[1:-1, :-2], padded[2:, 1:-1], padded[:-2, 1:-1]])
@@ -75,7 +75,7 @@ def test_smoothing_solves_the_equations_of_the_field(fields: int) -> None:
 
 @pytest.mark.parametrize("few", [20, 600])
 def test_multilevel_solver_needs_fewer_iterations(monkeypatch, few: int) -> None:
-    """Where little is known of most texels, values come a long way."""
+    """If most texels are uncertain, values spread over long distances."""
     side, sizes = 48, []
 
     def counted(smoother: Smoother, *state: Any) -> Any:
@@ -178,7 +178,7 @@ def test_information_is_the_gauss_newton_matrix() -> None:
 
 @pytest.fixture(scope="module")
 def recovered(vase: SimpleNamespace) -> SimpleNamespace:
-    """The vase's textures, and how sure they are."""
+    """Recovered textures of the vase, and their field."""
     recovery = recover(vase.estimate, parameters=NAMES)
     field = texture_field(recovery, mesh=vase.capture.mesh)
     return SimpleNamespace(recovery=recovery, field=field)
@@ -343,7 +343,7 @@ def test_relit_sd_is_larger_for_uncertain_textures(
     same = relight_draws(
         vase.capture, field.textures, [field.textures, field.textures], None, sensors, spp=4
     )
-    for view in same:  # common random numbers: nothing is left
+    for view in same:  # common random numbers: no noise remains
         assert view.sd.max() < 1e-5 * view.picture.max()
 
 

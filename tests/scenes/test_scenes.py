@@ -46,7 +46,7 @@ def test_a_scene_loads_from_any_working_directory(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_object_scene_takes_a_folder_an_image_and_a_scale(tmp_path):
-    """A stand-in for a user's files; twice the light is twice the image, sample by sample."""
+    """Substitute files of a user; twice the light gives twice the image."""
     (tmp_path / "mesh.ply").write_bytes((scenes.FOLDER / "vase" / "mesh.ply").read_bytes())
     Image.new("RGB", (4, 4), (200, 120, 60)).save(tmp_path / "base_color.png")
     for name in ("roughness", "metallic"):
