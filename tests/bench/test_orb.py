@@ -179,7 +179,7 @@ def test_ground_truth_is_required_for_mesh_and_light(written):
         ({"transform_matrix": [[1, 2], [3, 4]]}, "a frame needs transform_matrix"),
         ({"transform_matrix": np.diag([-1.0, 1, 1, 1]).tolist()}, "mirrored"),
         ({"camera_angle_x": "wide"}, "a frame needs"),
-        ({"camera_angle_x": 0}, "a frame needs|focal length"),
+        ({"camera_angle_x": 0}, "camera_angle_x must be in"),
         (None, "file_path must be text"),
     ],
 )
