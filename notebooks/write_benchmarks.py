@@ -80,7 +80,7 @@ def bars(record: Record, chosen: Mapping[str, Sequence[str]]) -> list[Row]:
     return rows
 
 
-# --- rows of figure, value and comparison, by study -----------------------------------------
+# --- rows of quantity, value and comparison, by study -----------------------------------------
 
 
 def agreement(record: Record) -> list[Row]:
@@ -306,7 +306,7 @@ class Section:
     title: str
     text: str
     rows: dict[str, Callable[[Record], list[Row]]]
-    heads: Row = ("figure", "measured", "compare with")
+    heads: Row = ("quantity", "measured", "compare with")
     picture: str = ""
 
 
@@ -353,7 +353,7 @@ SECTIONS = (
         "Presets `paper` implement Wiersma et al. 2025 as printed. The last column has the paper's "
         "own numbers, measured on other scenes. Table 1 is measured on our scenes in the layout of "
         "Stanford-ORB, not on that data set; its published times are of an RTX 4090.",
-        {"paper": printed, "orb": orb}, ("figure", "measured", "paper"),
+        {"paper": printed, "orb": orb}, ("quantity", "measured", "paper"),
     ),
     Section(
         "Run time",
@@ -384,7 +384,7 @@ SECTIONS = (
 
 
 def short(records: dict[str, Record]) -> list[Row]:
-    """Return the most important figures of the default, for the first table."""
+    """Return the most important results of the default, for the first table."""
     rows: list[Row] = []
     if "accuracy" in records:
         fixed = rows_of(records["accuracy"], "angular fixed")
@@ -486,7 +486,7 @@ def overview(records: dict[str, Record]) -> str:
         parts.append(machines(records))
     if rows := short(records):
         parts += ["## How accurate and how fast is the default?",
-                  table(("figure", "measured", "compare with"), rows)]  # fmt: skip
+                  table(("quantity", "measured", "compare with"), rows)]  # fmt: skip
     return "\n\n".join([*parts, *(section_text(section, records) for section in SECTIONS)]) + "\n"
 
 

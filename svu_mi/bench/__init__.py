@@ -1,7 +1,7 @@
 """``svu bench``: accuracy and speed of svu_mi, in runs that can be interrupted.
 
 A benchmark is a module of this package with a ``STUDY``. It contains the measurements (an
-``Experiment`` with rows and cases), the bars that a release has to reach, tables and plots.
+``Experiment`` with rows and cases), bars (limits that a release has to meet), tables and plots.
 ``study.run_bench`` runs benchmarks, caches finished results, and writes STUDY.json, bench.md and
 plots.
 """

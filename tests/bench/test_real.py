@@ -109,7 +109,9 @@ def test_check_reports_estimated_gains(imported, tmp_path, capsys, monkeypatch):
     words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "gain (UNCLEAR): Exposure gains range from 0." in said and "White balance differs" in said
+    assert (
+        "gain (UNCLEAR): Exposure gains range from 0." in said and "White balance differs" in said
+    )
     assert f"IMG_{SPOILT:04d}.jpg is an outlier" in said
     assert "Axes fit, but results may be wrong for another reason: gain." in said
     assert run(*words, "--strict") == 3
