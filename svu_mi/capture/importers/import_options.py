@@ -66,22 +66,22 @@ class ImportOptions:
     mesh_up: Up | None = None
     """Up axis in the mesh file, y (glTF) or z, if the poses have another one; needs --world-up."""
     world_up: Up | None = None
-    """Up axis of the poses, y or z (Blender, nerfstudio), if the mesh has another one."""
+    """Up axis of the poses, y or z (Blender, nerfstudio); needs --mesh-up."""
     mesh_scale: float = 1.0
     """Units of the poses per unit of the mesh, above 0: 0.001 for a mesh in mm and poses in m."""
     geometry_only: bool = False
     """Compute new UVs, and ignore textures: for overlapping UVs, or several materials."""
     environment: Light | None = None
-    """Environment map. Default: the map of the data set, or no light."""
+    """Environment map (default: the map of the source, else no light)."""
     exposures: str | Path | None = None
-    """Exposure gains (positive factors of radiance): a text file with lines NAME GAIN, or exif for
-    EXIF data. Default: gains in the source, else 1. Set it if exposures differ."""
+    """Exposure gains, positive factors of radiance: a text file with lines NAME GAIN, or exif for
+    EXIF data. Set it if exposures differ (default: gains of the source, else 1)."""
     response: str | Path | None = None
-    """Measured response curve of PNG and JPEG: a text file with lines ENCODED LINEAR, or ENCODED R
-    G B. Default: sRGB, or the curve of the data set. EXR, HDR and PFM are linear."""
+    """Measured response curve of PNG and JPEG, if not sRGB: a text file with lines ENCODED LINEAR
+    or ENCODED R G B (default: the curve of the source, else sRGB)."""
     shrink: float = 1.0
-    """Factor, at least 1, that divides width and height of photographs. Increase it to save memory
-    if pixels are smaller than texels."""
+    """Divisor of the width and height of photographs, at least 1. Increase it to save memory if
+    pixels are smaller than texels."""
     every: int = 1
     """Import only every N-th photograph, N at least 1. Increase it for video frames."""
     missing: Literal["refuse", "leave-out"] = "refuse"

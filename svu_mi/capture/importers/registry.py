@@ -45,14 +45,14 @@ class ReadOptions:
     format: Format = AUTO
     """Format of the source; auto detects it. Set it if the folder contains several formats."""
     images: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the photographs. Default: images (IDR: image) near the poses."""
+    """COLMAP, LLFF, IDR: folder of the photographs (default: images or image near the poses)."""
     masks: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the masks. Default: masks (IDR: mask) near the poses, if any."""
+    """COLMAP, LLFF, IDR: folder of the masks (default: masks or mask near the poses, if any)."""
     split: str = "train"
     """Part of the data set: train, test, val, or X of transforms_X.json. Stanford-ORB: train, test,
     or the name of another capture of the same object."""
     environment_view: str | None = None
-    """Stanford-ORB: test photograph whose environment map is the light. Default: the first."""
+    """Stanford-ORB: test photograph whose environment map is the light (default: the first)."""
     original_world: bool = False
     """Undo nerfstudio's applied_transform, for a mesh from the photogrammetry before nerfstudio."""
     normalized: bool = False
