@@ -151,6 +151,8 @@ def test_a_module_and_a_line_add_a_benchmark(bench, monkeypatch):
     assert record["words"]["cells"] == [{"word": "vase", "rows": {"a": {"count": 1}}}]
     text = (bench.folder / "bench.md").read_text()
     assert "# Words" in text and "| letters | 4 | <= 3 | **no** |" in text and "\nvase" in text
+    again = run_bench(replace(bench, stored=True), ["words"], Selection(cases=CASES), "again")
+    assert again["words"]["command"] == "svu bench words"  # stored results keep their provenance
 
 
 def test_a_record_counts_only_under_its_key(tmp_path):
