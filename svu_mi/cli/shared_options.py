@@ -47,7 +47,7 @@ Resolution = Annotated[
     tuple[int, ...],
     arg(
         metavar="SIZE | WIDTH HEIGHT",
-        help="Texels per side, or width and height. Time and memory are proportional.",
+        help="Texels per side, or width and height. Time and memory grow with their number.",
     ),
 ]
 Samples = Annotated[int, arg(help="Samples per pixel with --render; more reduce noise.")]

@@ -448,8 +448,8 @@ def test_a_mesh_that_shows_its_back_is_turned(capture):
     assert result.fixes == ("mesh-inside-out",)
     assert [one.verdict for one in result.findings[:3]] == ["wrong", "fits", "fits"]
     assert result.findings[0].sentence.startswith(
-        "The faces of the mesh are wound the wrong way: 100% of what the photographs show of it is "
-        "its back (in a Mitsuba scene, set flip_normals on the shape). Cameras and mesh fit"
+        "The faces of the mesh are wound the wrong way: 100% of its seen surface are back faces "
+        "(in a Mitsuba scene, set flip_normals on the shape). Cameras and mesh fit"
     )
     assert all(view.color_error is None for view in result.views)
     assert np.mean([view.color_error for view in result.corrected]) < 0.4

@@ -91,7 +91,7 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     assert against["correlation"] > 0.4  # .57, of 64 cells and 100 texels
     scaled = (*SMALL, "--light-scale", 2, "--no-pictures")
     assert run("light", around, *scaled, "-o", tmp_path / "b") == 0
-    assert "Its brightness was given" in capsys.readouterr().out
+    assert "brightness of the light was given" in capsys.readouterr().out
     assert names(tmp_path / "b") == FILES
     first, second = (svu.load_light(tmp_path / name) for name in "ab")  # deterministic
     np.testing.assert_allclose(second.radiance, 2 * first.radiance, rtol=1e-5)

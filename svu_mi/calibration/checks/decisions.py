@@ -150,7 +150,7 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
     if improvement > LIGHT_RANGE and not is_supported:
         # An object that faces one side does not distinguish lights on that side.
         either = _choices((names, *alternatives))
-        return unknown("light", f"{either} would fit better, but by one of three cues only", table)
+        return unknown("light", f"{either} would fit better, but only in one cue of three", table)
     if improvement <= LIGHT_IMPROVEMENT or not is_supported:
         as_good = _indistinguishable(scores, current)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)

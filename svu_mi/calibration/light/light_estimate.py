@@ -89,7 +89,7 @@ class LightEstimate:
     def __repr__(self) -> str:
         low, high = self.scale_interval
         return (
-            f"<LightEstimate of {self.texels} texels: {self.known_part:.0%} of it known, "
+            f"<LightEstimate of {self.texels} texels: {self.known_part:.0%} determined, "
             f"scale {low.mean():.2f} to {high.mean():.2f}"
             f"{', moves with the camera' if self.moves else ''}>"
         )

@@ -178,7 +178,7 @@ def comparison_sentence(match: LightComparison) -> str:
     where = "" if match.inside is None else f", {'in' if match.inside else 'out'}side the interval"
     return (
         f"Comparison with the light of the capture: correlation {match.correlation:.2f} at 15 "
-        f"degrees; it is brighter by {factors}{where}; "
+        f"degrees, ratio to the estimate {factors}{where}, "
         f"brightest directions {match.angle:.0f} degrees apart."
     )
 
