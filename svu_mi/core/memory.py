@@ -109,11 +109,11 @@ class Sizes:
     """Sizes of a capture, known before its photographs are read.
 
     Attributes:
-        photographs: (width, height) in memory of each photograph.
+        photographs: (width, height) of each photograph in memory.
         light: (width, height) of the environment map; (0, 0) for other lights.
         charts: upper bound of the share of the texture that UV charts cover, in [0, 1].
         lit: True if the scene has a light.
-        stored: (width, height) in its file of each photograph.
+        stored: (width, height) of each photograph in its file.
         memory: limit of bytes for photographs in memory; beyond it, they are kept in a file.
         asked: True if the user has set ``memory``.
     """
