@@ -1,4 +1,4 @@
-"""NumPy arrays as Dr.Jit arrays."""
+"""Conversion of NumPy arrays to Dr.Jit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from svu_mi.core.arrays import LARGE, to_drjit
 
 @pytest.mark.parametrize("count", [300, LARGE // 4])
 def test_what_is_written_later_does_not_show(count):
-    """Also if Dr.Jit is busy, and gets to its copy only after the write."""
+    """This includes writes before a busy Dr.Jit has copied the array."""
     start = (mi.UInt32(0), dr.zeros(mi.Float, 1 << 16))
     last = dr.opaque(mi.UInt32, 3000)
     dr.eval(dr.while_loop(start, lambda i, _: i < last, lambda i, x: (i + 1, x + 1))[1])

@@ -1,4 +1,4 @@
-"""EXR: what is written reads back, by OpenEXR itself; what a failure leaves, and what it says."""
+"""EXR: round trips, files that OpenEXR reads, and failures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RGB = np.random.default_rng(717209344).normal(size=(5, 7, 3)).astype(np.float32)
 
 
 def stored(path: Path) -> dict[str, np.ndarray]:
-    """What OpenEXR says is in a file, channel by channel, in the stored type."""
+    """Return the channels of a file as read by OpenEXR, in the stored type."""
     with OpenEXR.File(str(path), separate_channels=True) as file:
         return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
 
@@ -103,7 +103,7 @@ def test_what_is_no_image_is_refused_before_a_file_exists(tmp_path, channels, er
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    """A file whose pixels come back changed is not kept; nor is any that an error interrupts."""
+    """Files that differ after read-back, or were interrupted, are discarded."""
     path = tmp_path / "a.exr"
     write_exr(path, {"Y": np.ones((2, 2))})
     before = path.read_bytes()
@@ -140,8 +140,8 @@ def test_places_that_cannot_be_written_are_named(tmp_path):
 
 
 def test_reading_says_what_is_wrong_and_nothing_else(tmp_path, capfd):
-    """OpenEXR's own lines on stdout and stderr are kept away: our sentence is the only one."""
-    # Compressible: raw pixels have no checksum, and a change in them cannot be noticed.
+    """OpenEXR's lines on stdout and stderr are hidden."""
+    # Compressible: raw pixels have no checksum, so damage would not be detected.
     write_exr(tmp_path / "good.exr", {"Y": np.outer(np.arange(64), np.arange(48))})
     data = (tmp_path / "good.exr").read_bytes()
     middle = len(data) // 2
@@ -179,7 +179,7 @@ def test_other_programs_files_are_read(tmp_path):
 
 
 def test_what_others_print_meanwhile_is_not_lost(tmp_path, capfd):
-    """Another thread may say what it likes while photographs, a damaged one too, are read."""
+    """Output of other threads is kept while photographs, also damaged ones, are read."""
     good, bad = tmp_path / "good.exr", tmp_path / "bad.exr"
     write_exr(good, {"RGB": np.zeros((400, 400, 3))})
     data = good.read_bytes()
@@ -209,4 +209,4 @@ def test_what_others_print_meanwhile_is_not_lost(tmp_path, capfd):
     assert said > 10
     assert out.splitlines() == [f"out {k}" for k in range(said)]
     lines = (f"{who} {k}" for k in range(said) for who in ("err", "raw"))
-    assert sorted(err.splitlines()) == sorted(lines)  # where a reader leaves, two may swap
+    assert sorted(err.splitlines()) == sorted(lines)  # lines may be swapped when a reader leaves

@@ -1,4 +1,4 @@
-"""Stages: what is recorded, and what a terminal, a log file and a library user see."""
+"""Stages: records, and output on terminals and in log files."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_log_file_gets_a_line_now_and_then_about_a_long_stage(monkeypatch):
                 time.sleep(0.11)
             stage.update(view, 5)
     lines = stream.getvalue().splitlines()
-    assert lines[:-1] == ["Rendering photographs: 2/5"]  # the last is said by the stage's end
+    assert lines[:-1] == ["Rendering photographs: 2/5"]  # the end of the stage prints the last line
     assert lines[-1].startswith("Rendering photographs: 0.2")
 
 
@@ -67,7 +67,7 @@ def test_a_terminal_shows_a_bar_and_the_state():
     with Progress(where).stage("Gathering", total=4) as stage:
         stage.update(1, 4)
         stage.state("loading view 2")
-        time.sleep(0.25)  # the live line is drawn ten times a second
+        time.sleep(0.25)  # ten updates of the live line per second
     shown = stream.getvalue()
     assert "Gathering" in shown and "loading view 2" in shown
     assert COMPILING not in shown
@@ -92,7 +92,7 @@ def test_a_stage_that_fails_is_said_but_not_recorded():
 
 def test_kernels_are_counted_once_they_had_to_be_compiled():
     progress = Progress()
-    # A constant that no earlier run can have put into the cache on disk.
+    # A constant that is in no kernel of the disk cache.
     odd = time.time_ns() % 1_000_003 / 1_000_003
     for name in ("cold", "warm"):
         with progress.stage(name):

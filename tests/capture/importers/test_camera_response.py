@@ -1,4 +1,4 @@
-"""What a camera's codes mean, as measured, and blacks that are darker than its first code."""
+"""Measured response curves of cameras, and crushed blacks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ GAMMA = 2.2
 
 
 def table(path, curves, codes=None, between=" "):
-    """Write a response: codes and, in a unit of its own, what they mean."""
+    """Write a response curve: codes, and linear values in an arbitrary unit."""
     codes = np.linspace(0, 255, 256) if codes is None else codes
     columns = [codes, *([7 * curve(codes / codes[-1]) for curve in curves])]
     lines = [between.join(f"{number:.9g}" for number in row) for row in np.transpose(columns)]
@@ -50,7 +50,7 @@ def gamma(encoded):
 
 
 def photograph(path, pixels, **fields) -> Frame:
-    """Write integers of 8 or 16 bits, and return them as a frame."""
+    """Write a photograph of 8 or 16 bits, and return its frame."""
     if pixels.dtype == np.uint16:
         bitmap = mi.Bitmap(np.ascontiguousarray(pixels))
         bitmap.set_srgb_gamma(True)
@@ -73,7 +73,7 @@ def random(bits, seed=SEED) -> np.ndarray:
 
 
 def converted(frame, path):
-    """Return the photograph, channels (H, W, 3) as written, and what clipped ones are at least."""
+    """Return the converted photograph, its channels (H, W, 3), and the saturation radiance."""
     picture = convert_photograph(frame, path, (1, 1))
     layers = read_exr(path)
     header = open_image(path).header.attributes
@@ -91,7 +91,7 @@ def test_codes_become_what_was_measured(bits, largest, tmp_path):
     picture, image, least = converted(frame, tmp_path / "a.exr")
     encoded = pixels / (2**bits - 1)
     over = encoded > SATURATED[bits]
-    error = GAMMA * (GAMMA - 1) / 8 / 255**2  # of straight lines between 256 samples
+    error = GAMMA * (GAMMA - 1) / 8 / 255**2  # error of linear interpolation between 256 samples
     np.testing.assert_allclose(image[~over], gamma(encoded[~over]), rtol=1e-5, atol=error)
     np.testing.assert_array_equal(image[over], CLIPPED)
     assert least == pytest.approx(gamma(SATURATED[bits]), abs=1e-5)
@@ -101,7 +101,7 @@ def test_codes_become_what_was_measured(bits, largest, tmp_path):
 
 
 def test_eight_bits_hit_samples_exactly(tmp_path):
-    """Of the same 256 codes nothing is between samples, however close together they are."""
+    """A curve with 256 samples needs no interpolation for 8-bit codes."""
     curve = table(tmp_path / "curve.txt", [lambda x: x**6])
     pixels = np.repeat(np.arange(250, dtype=np.uint8)[:, None, None], 3, axis=2)
     (frame,) = with_response([photograph(tmp_path / "a.png", pixels)], str(curve))
@@ -121,7 +121,7 @@ def test_each_channel_has_its_own_curve_and_unit(tmp_path):
         below = encoded[..., channel] <= SATURATED[8]
         wanted = encoded[below, channel] ** power
         np.testing.assert_allclose(image[below, channel], wanted, rtol=1e-5, atol=1e-7)
-    assert least == pytest.approx(SATURATED[8] ** GAMMA, abs=1e-4)  # of the darkest
+    assert least == pytest.approx(SATURATED[8] ** GAMMA, abs=1e-4)  # of the darkest channel
 
 
 def test_response_overrides_the_source_and_ignores_floats(tmp_path):
@@ -199,7 +199,7 @@ def test_response_beyond_single_precision_is_finite(tmp_path):
 
 
 def dark(folder, part, mask=True, **fields) -> Frame:
-    """A photograph of which a part of the object is 0 in green, and all of the background."""
+    """A photograph with 0 in green on a share of the object, and on the background."""
     pixels = np.full((20, 20, 3), 60, np.uint8)
     object_ = np.zeros((20, 20), np.uint8)
     object_[:10] = 255  # 200 pixels
@@ -232,7 +232,7 @@ def test_few_blacks_backgrounds_and_floats_are_not(tmp_path):
     assert 0.01 <= CRUSHED < 0.03
     assert not blacks([dark(tmp_path, 0.0)], tmp_path)
     assert not blacks([dark(tmp_path, 0.01)], tmp_path)
-    assert not blacks([dark(tmp_path, 0.5, mask=False)], tmp_path)  # who knows what is object
+    assert not blacks([dark(tmp_path, 0.5, mask=False)], tmp_path)  # unknown object
     ramp = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
     Image.fromarray(np.full((256, 1), 255, np.uint8)).save(tmp_path / "mask.png")
     assert not blacks([photograph(tmp_path / "b.png", ramp, mask=tmp_path / "mask.png")], tmp_path)
@@ -242,7 +242,7 @@ def test_few_blacks_backgrounds_and_floats_are_not(tmp_path):
 
 
 def test_a_response_says_which_codes_are_black(tmp_path):
-    """Below its black level a camera counts noise."""
+    """Codes below the black level of a camera are noise."""
     (tmp_path / "curve.txt").write_text("0 0\n60 0\n255 1\n")
     (frame,) = with_response([dark(tmp_path, 0.0)], tmp_path / "curve.txt")
     assert "100% of the object's" in blacks([frame], tmp_path)[0]
@@ -256,7 +256,7 @@ def test_a_response_says_which_codes_are_black(tmp_path):
 
 @pytest.fixture
 def shots(tmp_path, monkeypatch):
-    """Two photographs of 8 bits in the working directory, poses, a mesh, and a camera's curve."""
+    """Two 8-bit photographs in the working directory, poses, a mesh, and a response curve."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "shots"
     folder.mkdir()
@@ -289,7 +289,7 @@ def test_an_import_decodes_by_the_response_and_says_so_again(shots, capsys):
     line = reimport_command(capture, ["camera-z180"])
     assert "--response curve.txt" in line
     assert run(*shlex.split(line)[1:]) == 0
-    assert run(*WORDS, "-o", "plain") == 0  # pixels differ, and so does what results are kept for
+    assert run(*WORDS, "-o", "plain") == 0  # other pixels, so another key
     plain = svu.load_capture("plain", light="optional")
     assert photographs_key(plain) != photographs_key(capture)
     assert srgb(plain.images[0][3, 3, 0]) * 255 == pytest.approx(random(8, 0)[3, 3, 0], abs=0.1)

@@ -1,6 +1,6 @@
-"""COLMAP: its models read within their bounds, written as pycolmap reads them, and straightened.
+"""COLMAP: reading and writing of models, damaged models, and undistortion.
 
-pycolmap runs in processes of its own, as in the package: its zlib and Pillow's do not get along.
+pycolmap runs in separate processes, as in the package: its zlib conflicts with Pillow's.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from svu_mi.capture.importers.source import OPENCV, Source
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 
 POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))
-# Projects points by a model, and makes another of a kind that has rigs, frames and points.
+# Projects points by a model, and writes a model with rigs, frames and points.
 PYCOLMAP = """
 import sys
 import numpy as np
@@ -65,7 +65,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def project(source, tmp_path_factory):
-    """A project that write_colmap has written, with what pycolmap makes of it beside it."""
+    """A project from ``write_colmap``, and pycolmap's projections of it."""
     root = tmp_path_factory.mktemp("colmap")
     write_colmap(root / "given", source)
     np.save(root / "points.npy", POINTS)
@@ -114,7 +114,7 @@ def test_models_of_pycolmap_are_read_from_both_kinds_of_file(project):
         np.testing.assert_allclose(np.linalg.inv(frame.to_world @ OPENCV)[:3], wanted, atol=1e-9)
 
 
-# Models made by hand.
+# Handwritten models.
 
 CAMERA = ColmapCamera("PINHOLE", 8, 6, (9.0, 9.5, 4.0, 3.0))
 VIEW = Pose("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0))
@@ -152,7 +152,7 @@ def test_a_model_is_found_in_its_project(tmp_path, place):
 
 
 def test_the_folder_that_has_the_model_0_will_do(tmp_path):
-    """``svu import project/sparse`` and nerfstudio's ``svu import data/colmap/sparse``."""
+    """The path may be ``project/sparse``, or nerfstudio's ``data/colmap/sparse``."""
     put(tmp_path / "project")
     put(tmp_path / "data", model="colmap/sparse/0")
     for folder, parts in (("project", "sparse"), ("data", "colmap/sparse")):
@@ -204,7 +204,7 @@ BENT = {"SIMPLE_RADIAL": {"k1": 1e-3}, "RADIAL": {"k1": 1e-3, "k2": 2e-3},
 
 @pytest.mark.parametrize("model", BENT)
 def test_lenses_of_opencvs_model_are_straightened_by_the_import(tmp_path, model):
-    """Without pycolmap, and photographs of floats, too."""
+    """It needs no pycolmap and supports floating-point photographs."""
     focal = (9.0, 9.5) if "OPENCV" in model else (9.0,)
     rest = [0.0] * (3 if model == "FULL_OPENCV" else 0)
     parameters = (*focal, 4.0, 3.0, *BENT[model].values(), *rest)
@@ -299,7 +299,7 @@ LENS = ColmapCamera("SIMPLE_RADIAL", 90, 60, (75.0, 46.0, 28.0, -0.15))
 
 
 def put_lens(root: Path, directions: list[tuple[float, float]], lens: ColmapCamera = LENS) -> Path:
-    """Write photographs of a spot in each direction (x/z, y/z) through a lens, spots masked."""
+    """Write photographs of spots in directions (x/z, y/z) through a lens, with masks."""
     f, cx, cy, k = lens.parameters
     y, x = np.mgrid[: lens.height, : lens.width] + 0.5
     views = []

@@ -1,4 +1,4 @@
-"""Captures written as other tools write them, and imported again: nothing must change."""
+"""Round trips: captures are written in the formats of other tools and imported again."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.core.io.exr import read_exr, write_exr
 
-POSE = 1e-5  # the bar; a matrix goes through single precision once
-SAME = 0.999  # Pearson correlation of entropy: the bar
+POSE = 1e-5  # tolerance; a matrix is rounded to single precision once
+SAME = 0.999  # smallest Pearson correlation of entropy
 RESOLUTION = 48
-SIZE, SHIFT = (72, 52), (0.06, -0.04)  # of the photographs and their principal point
+SIZE, SHIFT = (72, 52), (0.06, -0.04)  # size of the photographs, and their principal point
 VIEWS = 8
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a world whose +Z is the scene's +Y
-LIGHT = Z_UP.T @ ENVIRONMENT_AXES["blender"]  # of the map, so that it is Blender's in that world
+LIGHT = Z_UP.T @ ENVIRONMENT_AXES["blender"]  # rotation of the map in that world
 
 
 @dataclass(frozen=True)
 class Original:
-    """A capture, what it says, and the files it consists of."""
+    """A capture, its expected values, and its files."""
 
     capture: svu.Capture
     entropy: np.ndarray
@@ -43,13 +43,13 @@ class Original:
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory) -> Original:
-    """Eight photographs of the knot, wide, with the principal point off the centre."""
+    """Eight wide photographs of the knot, with the principal point off the centre."""
     return photographed(tmp_path_factory.mktemp("original"), SHIFT)
 
 
 @pytest.fixture(scope="module")
 def centered(tmp_path_factory) -> Original:
-    """The same with the principal point in the centre, for a format that knows no other."""
+    """The capture with a centred principal point, for formats without one."""
     return photographed(tmp_path_factory.mktemp("centered"), (0.0, 0.0))
 
 
@@ -57,8 +57,8 @@ def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     shutil.copytree(scenes.path("knot").parent, folder / "knot")
     shutil.copytree(scenes.path("knot").parent.parent / "lights", folder / "lights")
     window = read_exr(folder / "lights" / "window.exr")
-    # Twice as wide as high, as lamps are photographed: with as many rows as it has, from pole to
-    # pole, it would be Mitsuba's own.
+    # Twice as wide as high, as photographed. With one row more, it would count as a map for
+    # Mitsuba.
     write_exr(folder / "probe.exr", {name: plane[:-1] for name, plane in window.items()})
     write_exr(folder / "lights" / "window.exr", {"RGB": for_mitsuba(folder / "probe.exr")})
     scene = mi.load_file(str(folder / "knot" / "knot.xml"), optimize=False)
@@ -86,7 +86,7 @@ def photographed(folder: Path, shift: tuple[float, float]) -> Original:
 
 
 def for_mitsuba(path: Path) -> np.ndarray:
-    """Rows of a map from pole to pole, where Mitsuba has them, between the centres of pixels."""
+    """Resample a map to Mitsuba's rows, from pole to pole."""
     pixels = np.stack([read_exr(path)[name] for name in "RGB"], axis=-1).astype(np.float64)
     height = len(pixels)
     poles = [np.broadcast_to(row.mean(axis=0), row.shape) for row in (pixels[0], pixels[-1])]
@@ -102,17 +102,17 @@ def entropy_of(capture: svu.Capture) -> np.ndarray:
 
 
 def in_z_up_world(source: Source, folder: Path) -> Source:
-    """The same capture in a world whose +Z is up, with Blender's environment and a GLB."""
+    """The capture in a world with +Z up, with Blender's environment map and a GLB."""
     frames = [replace(frame, to_world=affine(Z_UP) @ frame.to_world) for frame in source.frames]
     given = read_textured_mesh(source.mesh).mesh
-    # glTF has +Y up whatever the world: the importer is told.
+    # glTF always has +Y up, so the options contain both axes.
     write_glb(folder / "mesh.glb", given, np.full((4, 4, 3), 128, np.uint8))
     light = replace(source.light, to_world=ENVIRONMENT_AXES["blender"])
     return replace(source, frames=frames, mesh=folder / "mesh.glb", light=light)
 
 
 def with_long_pixels(source: Source, folder: Path) -> Source:
-    """The same photographs with each row written twice: pixels are wider than high."""
+    """The photographs with each row written twice, so that pixels are not square."""
     frames = []
     for frame in source.frames:
         image = folder / f"long_{frame.image.name}"
@@ -125,7 +125,7 @@ def with_long_pixels(source: Source, folder: Path) -> Source:
     return replace(source, frames=frames)
 
 
-OWN_FILES = ("owl", "stanford-orb")  # formats with a place for mesh and light
+OWN_FILES = ("owl", "stanford-orb")  # formats that contain mesh and light
 VARIANTS = {
     "as it is": (lambda source, _: source, {}),
     "z up": (in_z_up_world, {"mesh_up": "y", "world_up": "z"}),
@@ -133,7 +133,7 @@ VARIANTS = {
 }
 
 
-# Every format as it is (Stanford-ORB below), and every variant in one.
+# Every format (Stanford-ORB below), and every variant in one of them.
 CASES = [("transforms", "as it is"), ("colmap", "as it is"), ("owl", "as it is"),
          ("transforms", "z up"), ("colmap", "long pixels")]  # fmt: skip
 

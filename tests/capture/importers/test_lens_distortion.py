@@ -1,6 +1,6 @@
-"""Distorted lenses: the model is COLMAP's and OpenCV's, and what it bends is straightened.
+"""Lens distortion: agreement with COLMAP and OpenCV, and undistortion of photographs.
 
-pycolmap runs in a process of its own, see test_formats_colmap.
+pycolmap runs in a separate process, see test_colmap.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError
 from svu_mi.guidance.candidates import Candidates
 
-# A telephone, a wide angle whose borders bulge outwards, a lens that is off its axis, nerfstudio's.
+# A phone, a wide angle with pincushion borders, a decentred lens, and one of nerfstudio.
 LENSES = {
     "telephone": {"k1": 0.0578, "k2": -0.0796, "p1": -0.0009, "p2": 0.0008},
     "barrel": {"k1": -0.28, "k2": 0.07, "k3": -0.008},
@@ -41,7 +41,7 @@ LENSES = {
 }
 WIDTH, HEIGHT, FOCAL, CENTER = 180, 120, (150.0, 140.0), (93.5, 57.25)
 PIXEL = 1e-6  # the bar
-# Looks directions up, and pixels, with COLMAP's camera of the same numbers.
+# Converts directions and pixels with COLMAP's camera of the same coefficients.
 PYCOLMAP = """
 import json, sys
 import numpy as np
@@ -65,13 +65,13 @@ def frame_of(lens: Lens | None, image: Path = Path("a.exr"), **fields: object) -
 
 
 def points() -> np.ndarray:
-    """Directions all over the photograph."""
+    """Directions that cover the photograph."""
     x, y = np.meshgrid(np.linspace(-0.55, 0.55, 12), np.linspace(-0.4, 0.4, 9))
     return np.stack([x.ravel(), y.ravel()], axis=-1)
 
 
 def test_pixels_are_those_of_colmaps_camera():
-    known = [name for name, numbers in LENSES.items() if "k4" not in numbers]  # COLMAP has none
+    known = [name for name, numbers in LENSES.items() if "k4" not in numbers]  # not in COLMAP
     cameras = []
     for name in known:
         k1, k2, k3, _, p1, p2 = Lens(**LENSES[name]).record.values()
@@ -97,7 +97,7 @@ def test_the_model_is_that_of_the_books_and_its_inverse(name):
 
 
 def photograph(lens: Lens, field: float = 24.0) -> np.ndarray:
-    """Chequers of so many pixels through a lens, (HEIGHT, WIDTH)."""
+    """Chequers of ``size`` pixels through a lens, (HEIGHT, WIDTH)."""
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     seen = (x - CENTER[0]) / FOCAL[0], (y - CENTER[1]) / FOCAL[1]
     u, v = oracle.straight(*seen, lens.record)
@@ -105,7 +105,7 @@ def photograph(lens: Lens, field: float = 24.0) -> np.ndarray:
 
 
 def chequers_of(frame: Frame, field: float = 24.0) -> np.ndarray:
-    """The same chequers as a camera without distortion sees them."""
+    """The chequers through a camera without distortion."""
     y, x = np.mgrid[: frame.size[1], : frame.size[0]] + 0.5
     u, v = x - frame.center[0] + CENTER[0], y - frame.center[1] + CENTER[1]
     return oracle.chequers(u, v, field)
@@ -113,7 +113,7 @@ def chequers_of(frame: Frame, field: float = 24.0) -> np.ndarray:
 
 @pytest.mark.parametrize("name", LENSES)
 def test_chequers_become_straight_again(name):
-    """Between four pixels 2 max |f''| / 8 is lost at most, and more where the lens shrinks."""
+    """The error of bilinear interpolation is at most 2 max |f''| / 8, times the shrinkage."""
     lens = Lens(**LENSES[name])
     (plane,) = undistort_planes([photograph(lens)], frame_of(lens))
     straight = undistorted_frame(frame_of(lens))
@@ -134,7 +134,7 @@ def test_undistorted_photograph_is_largest_without_borders(name):
     edges = np.linspace(corners[:-1], corners[1:], 50).reshape(-1, 2)  # around, and a diagonal
     seen = lens.distort((edges - made.center) / made.focal) * FOCAL + CENTER
     assert seen.min() > -0.01 and (seen < np.array([WIDTH, HEIGHT]) + 0.01).all()
-    for wider in ((1.5, 0), (0, 1.5)):  # some border would be empty
+    for wider in ((1.5, 0), (0, 1.5)):  # a border would be empty
         low, high = -np.array(wider), np.array(made.size) + wider
         edges = np.concatenate([
             np.stack([np.full(99, x), np.linspace(low[1], high[1], 99)], axis=-1)
@@ -148,7 +148,7 @@ def test_undistorted_photograph_is_largest_without_borders(name):
 
 
 def test_a_straight_photograph_is_at_most_twice_as_wide():
-    """A lens that shrinks its borders by more than two; beyond, nothing but blur would be added."""
+    """Borders that shrink by more than two would only add blur."""
     center, focal = (WIDTH / 2, HEIGHT / 2), (WIDTH / 2 / 0.46,) * 2
     made = undistorted_frame(frame_of(Lens(**{"k1": -1, "k2": 0.46}), focal=focal, center=center))
     assert made.size[0] == 2 * WIDTH and HEIGHT < made.size[1] < 2 * HEIGHT
@@ -163,7 +163,7 @@ def test_a_lens_that_folds_over_is_refused(numbers):
 
 
 def test_lens_valid_only_in_the_middle_is_refused_but_croppable():
-    """Real ones do that at the corners: it is not called impossible, and a crop is taken."""
+    """Real action cameras fold over in the corners; the message suggests a crop."""
     lens = Lens(**{"k1": -0.26, "k2": 0.09, "k3": -0.015})
     focal = (0.4 * WIDTH, 0.4 * WIDTH)
     sentence = re.escape(
@@ -186,7 +186,7 @@ def test_photographs_are_undistorted_in_linear_radiance(tmp_path):
     convert_photograph(frame, tmp_path / "view.exr", square_pixel_frame(frame)[1])
     red = read_exr(tmp_path / "view.exr")["R"]
     wide, scale = square_pixel_frame(frame)
-    x = (np.arange(wide.size[0]) + 0.5) / scale[0]  # of the straight photograph, before squaring
+    x = (np.arange(wide.size[0]) + 0.5) / scale[0]  # in pixels of the undistorted photograph
     y = (np.arange(wide.size[1]) + 0.5) / scale[1]
     straight = undistorted_frame(frame)
     u, v = (np.stack(np.meshgrid(x, y), axis=-1) - straight.center).T
@@ -223,7 +223,7 @@ def test_masks_and_pixels_that_cannot_be_used_go_along(tmp_path):
 
 
 def written(folder: Path, **changes: object) -> Path:
-    """A transforms.json as phones, instant-ngp and nerfstudio write it."""
+    """Write a ``transforms.json`` like phones, instant-ngp and nerfstudio."""
     record = {"fl_x": 150.0, "fl_y": 150.0, "w": WIDTH, "h": HEIGHT, **changes}
     frame = {"file_path": "a.exr", "transform_matrix": np.eye(4).tolist()}
     (folder / "transforms.json").write_text(json.dumps({**record, "frames": [frame]}))

@@ -1,4 +1,4 @@
-"""LLFF's poses_bounds.npy, and cameras of IDR and NeuS: written here from axes, read, projected."""
+"""LLFF, IDR and NeuS: files are written from camera axes, read, and compared by projection."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ SPHERE = np.array([[2.5, 0, 0, 0.3], [0, 2.5, 0, -0.2], [0, 0, 2.5, 0.1], [0, 0,
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole by its axes in the world; nothing here knows another convention.
+    """A pinhole camera, defined by its axes in the world without any convention.
 
     Attributes:
         eye: (3,).
-        right: (3,), unit, as down and forward.
-        down: (3,).
-        forward: (3,).
+        right: (3,), unit vector.
+        down: (3,), unit vector.
+        forward: (3,), unit vector.
         focal: (fx, fy), in pixels.
         center: (cx, cy), (0, 0) is the corner of the first pixel.
     """
@@ -63,7 +63,7 @@ class Camera:
 
     @property
     def world_mat(self) -> np.ndarray:
-        """K [R | t] of IDR, whose first pixel has its centre at (0, 0)."""
+        """Return K [R | t] of IDR, with the centre of the first pixel at (0, 0)."""
         K = np.array([[self.focal[0], 0, self.center[0] - 0.5],
                       [0, self.focal[1], self.center[1] - 0.5], [0, 0, 1]])  # fmt: skip
         rotation = np.stack([self.right, self.down, self.forward])
@@ -74,21 +74,21 @@ class Camera:
 
     @property
     def row(self) -> np.ndarray:
-        """What LLFF says of it: 3 x 5, near and far."""
+        """Return the row of LLFF: 3 x 5 matrix, near and far."""
         width, height = SIZE
         columns = [self.down, self.right, -self.forward, self.eye, [height, width, self.focal[0]]]
         return np.concatenate([np.stack(columns, axis=-1).ravel(), [2.0, 9.0]])
 
     @property
     def pose(self) -> np.ndarray:
-        """(4, 4), ours: +X left, +Y up, +Z forward."""
+        """Return the pose (4, 4) in Mitsuba's axes: +X left, +Y up, +Z forward."""
         matrix = np.eye(4)
         matrix[:3] = np.stack([-self.right, -self.down, self.forward, self.eye], axis=-1)
         return matrix
 
 
 def looking(index: int, **fields: tuple[float, float]) -> Camera:
-    """A camera that looks at the origin, from another side and rolled otherwise for each index."""
+    """Return a camera towards the origin, with another position and roll for each index."""
     rng = np.random.default_rng([811, index])
     eye = rng.normal(size=3)
     eye *= 4 / np.linalg.norm(eye)
@@ -106,21 +106,21 @@ SHIFTED = [
 
 
 def shoot(folder: Path, names: list[str], size: tuple[int, int] = SIZE) -> None:
-    """Write photographs, grey ones that can be told apart."""
+    """Write photographs with different grey values."""
     folder.mkdir(parents=True, exist_ok=True)
     for index, name in enumerate(names):
         Image.new("RGB", size, (60 + index,) * 3).save(folder / name)
 
 
 def write_llff(folder: Path, rows: object = None, images: str = "images") -> Path:
-    """Write poses and photographs, whose order is that of their names."""
+    """Write poses, and photographs in the order of their names."""
     shoot(folder / images, ["b.jpg", "a.jpg", "c.png"])
     np.save(folder / "poses_bounds.npy", [c.row for c in CENTERED] if rows is None else rows)
     return folder
 
 
 def matrices(cameras: list[Camera], sphere: np.ndarray | None = SPHERE) -> dict[str, np.ndarray]:
-    """Arrays of IDR; others that lie among them are not read."""
+    """Return the arrays of IDR, and others that must be ignored."""
     arrays = {f"world_mat_{k}": camera.world_mat for k, camera in enumerate(cameras)}
     arrays |= {f"world_mat_inv_{k}": np.full((4, 4), np.nan) for k in range(len(cameras))}
     if sphere is not None:
@@ -131,25 +131,25 @@ def matrices(cameras: list[Camera], sphere: np.ndarray | None = SPHERE) -> dict[
 def write_idr(
     folder: Path, arrays: dict[str, np.ndarray] | None = None, file: str = "cameras_sphere.npz"
 ) -> Path:
-    """Write cameras and photographs, three of them."""
+    """Write three cameras and photographs."""
     shoot(folder / "image", [f"{k:06d}.png" for k in range(3)])
     np.savez(folder / file, **(matrices(SHIFTED) if arrays is None else arrays))
     return folder
 
 
 def same(source: Source, cameras: list[Camera], atol: float = 1e-9) -> None:
-    """Compare poses, intrinsics, and where world points are seen."""
+    """Compare poses, intrinsics, and projections of world points."""
     for frame, camera in zip(source.frames, cameras, strict=True):
         np.testing.assert_allclose(frame.to_world, camera.pose, atol=atol)
         np.testing.assert_allclose(frame.focal, camera.focal, rtol=atol)
         np.testing.assert_allclose(frame.center, camera.center, rtol=atol)
         assert frame.size == SIZE
         wanted = camera.pixels(POINTS)
-        assert np.ptp(wanted, axis=0).min() > 1  # so that any exchanged axis is seen
+        assert np.ptp(wanted, axis=0).min() > 1  # detects any exchanged axis
         np.testing.assert_allclose(projected(frame, POINTS), wanted, atol=2e-3)
 
 
-# --- what is written is read ----------------------------------------------------------
+# --- round trips ----------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
@@ -199,7 +199,7 @@ def test_cameras_sphere_is_preferred_to_cameras(tmp_path):
 
 
 def test_normalized_poses_see_a_normalized_mesh(tmp_path):
-    """World = scale_mat times unit sphere: its points are seen where those of the world are."""
+    """World = scale_mat times unit sphere: projections of both must be equal."""
     (note,) = read_source(write_idr(tmp_path), ReadOptions(normalized=True)).notes
     assert "unit sphere" in note and "without --normalized" in note
     inside = (POINTS - SPHERE[:3, 3]) / 2.5
@@ -257,11 +257,11 @@ def test_masks_of_idr_go_by_their_order(tmp_path, name):
         read_idr(folder, masks=asked)
 
 
-# --- which format it is ---------------------------------------------------------------
+# --- detection of the format ---------------------------------------------------------------
 
 
 def test_folders_with_several_formats_are_read_as_before(tmp_path):
-    """As transforms or COLMAP, which say more; what lies beside it is said."""
+    """Detection prefers transforms and COLMAP, and a note names the other formats."""
     lines, cameras = write_llff(tmp_path / "llff"), write_idr(tmp_path / "idr")
     frames = read_source(lines).frames
     model = tmp_path / "model"
@@ -287,7 +287,7 @@ def test_folders_with_several_formats_are_read_as_before(tmp_path):
         read_source(tmp_path)
 
 
-# --- what is refused ------------------------------------------------------------------
+# --- errors ------------------------------------------------------------------
 
 
 def changed(index: int | list[int], value: float, factor: float = 0) -> np.ndarray:
@@ -305,7 +305,7 @@ BAD_ROWS = {
     "infinite": (changed(14, np.inf), "pose 1: a number is NaN, infinite or too large"),
     "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
     "words": (np.full((3, 17), "a"), "its type is <U1; expected real numbers"),
-    "complex": (changed(3, 1).astype(complex), "it holds complex128, not real"),
+    "complex": (changed(3, 1).astype(complex), "its type is complex128; expected real"),
     "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
     "parts of pixels": (changed(4, 23.5), "pose 1: a photograph of 40 x 23.5 pixels; the last"),
     "no height": (changed(4, 0), "pose 1: a photograph of 40 x 0 pixels"),
@@ -315,7 +315,7 @@ BAD_ROWS = {
 
 
 def sentence(error: SvuError, folder: Path) -> str:
-    """Return what is said: one line that begins with a file of the folder and ends with a fix."""
+    """Return the message: one line that begins with a file and ends with a remedy."""
     text = str(error)
     assert text.startswith(str(folder)) and "\n" not in text
     assert text.endswith(".") and ("; " in text or ": " in text.replace(str(folder), ""))
@@ -323,7 +323,7 @@ def sentence(error: SvuError, folder: Path) -> str:
 
 
 def but(**changes: object) -> dict[str, np.ndarray]:
-    """Arrays of IDR with some changed, None = left out."""
+    """Return arrays of IDR with some changed, or removed if None."""
     arrays = {**matrices(SHIFTED), **changes}
     return {name: value for name, value in arrays.items() if value is not None}
 

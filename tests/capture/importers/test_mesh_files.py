@@ -1,4 +1,4 @@
-"""What captures consist of, as people have it: meshes, photographs, masks, maps, poses, folders."""
+"""Import of meshes, photographs, masks, environment maps, poses and folders."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PICTURE[:4] = 255  # white above, black below
 
 
 def quad(material: object | None = None, picture: np.ndarray = PICTURE) -> trimesh.Trimesh:
-    """A square whose upper half (y > 0) is white: V is up in trimesh."""
+    """A square with a white upper half (y > 0), to test the direction of V."""
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     material = material or PBRMaterial(baseColorTexture=Image.fromarray(picture))
     visual = trimesh.visual.TextureVisuals(points[:, :2] / 2 + 0.5, material)
@@ -52,7 +52,7 @@ def quad(material: object | None = None, picture: np.ndarray = PICTURE) -> trime
 
 
 def upper_color(path) -> float:
-    """The colour of the half with y > 0, looked up as Mitsuba does: row 0 is v = 0."""
+    """Return the colour of the half with y > 0, with row 0 at v = 0 as in Mitsuba."""
     geometry = read_textured_mesh(path)
     top = geometry.mesh.positions[:, 1] > 0
     v = 0.75 * geometry.mesh.uvs[top, 1].mean() + 0.25 * geometry.mesh.uvs[~top, 1].mean()
@@ -104,7 +104,7 @@ def test_several_materials_are_refused_unless_geometry_will_do(tmp_path):
     geometry = read_textured_mesh(tmp_path / "two.glb", geometry_only=True)
     assert geometry.mesh.uvs is None and "textures are ignored" in geometry.notes[0]
     plain = [quad(PBRMaterial(baseColorFactor=color)) for color in ([9, 0, 0, 255], [0, 0, 9, 255])]
-    trimesh.Scene(plain).export(tmp_path / "plain.glb")  # without pictures they do not matter
+    trimesh.Scene(plain).export(tmp_path / "plain.glb")  # materials without pictures are irrelevant
     geometry = read_textured_mesh(tmp_path / "plain.glb")
     assert geometry.mesh.uvs is not None and not geometry.textures
 
@@ -124,7 +124,7 @@ def test_normals_with_swapped_axes_are_computed_anew(tmp_path):
 
 def test_missing_normals_are_smooth_across_uv_seams(tmp_path):
     ball = trimesh.creation.uv_sphere(count=(24, 24))
-    doubled = np.array(ball.triangles).reshape(-1, 3)  # every corner a vertex of its own
+    doubled = np.array(ball.triangles).reshape(-1, 3)  # no shared vertices
     faces = np.arange(len(doubled)).reshape(-1, 3)
     mesh, _ = repair_normals(MeshArrays(doubled, faces, None, None), "ball")
     assert np.einsum("ij,ij->i", mesh.normals, doubled).min() > 0.99
@@ -212,7 +212,7 @@ LEFT[:, :17] = True
 
 
 def photograph(path: Path, pixels: np.ndarray = GREY, **fields: object) -> Frame:
-    """Write a picture, and return it as a frame."""
+    """Write a picture, and return its frame."""
     Image.fromarray(pixels).save(path)
     size = pixels.shape[1::-1]
     return Frame(**{
@@ -243,7 +243,7 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
 
 def test_average_of_saturated_and_other_pixels_is_unusable(tmp_path):
     pixels = np.full((4, 8, 3), 128, np.uint8)
-    pixels[:, 3:] = 255  # columns 1 (of 2 and 3) and 2, 3 of half as many
+    pixels[:, 3:] = 255  # after averaging, column 1 is mixed, 2 and 3 are white
     convert_photograph(photograph(tmp_path / "photo.png", pixels), tmp_path / "view.exr", (0.5, 1))
     red = read_exr(tmp_path / "view.exr")["R"]
     np.testing.assert_array_equal(red[:, 1], UNUSABLE)
@@ -276,7 +276,7 @@ def test_pixels_are_averaged_over_their_area(scale):
 
 
 def overlap(count: int, scale: float) -> np.ndarray:
-    """Part of each new pixel that each old one covers, one entry at a time."""
+    """Return the share of each new pixel that each old pixel covers, entry by entry."""
     edges = np.arange(int(count * scale + 1e-6) + 1) / scale
     matrix = np.zeros((len(edges) - 1, count))
     for new, old in np.ndindex(matrix.shape):
@@ -375,7 +375,7 @@ def spot(width: int, column: int, row: int) -> np.ndarray:
 
 @pytest.mark.parametrize("axes", ENVIRONMENT_AXES)
 def test_a_spot_stands_where_its_convention_says(tmp_path, axes):
-    """Each convention's top row is its up axis, its centre column its own."""
+    """Each convention has its own up axis at the top and direction in the centre."""
     top, center = {
         "mitsuba": ("+y", "+z"), "opengl": ("+y", "-z"), "threejs": ("+y", "+x"),
         "blender": ("+z", "+x"),
@@ -398,7 +398,7 @@ def test_a_mirrored_map_is_turned_over(tmp_path):
 
 
 def test_every_row_of_a_map_is_where_its_pixels_are(tmp_path):
-    """Mitsuba's rows 0 and H - 1 are the poles; those of files are half a row away from them."""
+    """Mitsuba's rows 0 and H - 1 are the poles; rows of files are centred half a row away."""
     for height, rows in ((16, 33), (520, 521)):
         bright = height // 4
         pixels = np.zeros((height, 2 * height, 3), np.float32)
@@ -444,7 +444,7 @@ def light_of(path: Path, pose: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("height", [3, 16, 520])
 @pytest.mark.parametrize("turn", [np.eye(3), np.diag([-1.0, 1, 1])])
 def test_an_imported_map_can_be_imported_again(tmp_path, height, turn):
-    """Its rows are Mitsuba's already, which its header says, whatever their number."""
+    """The header marks rows of Mitsuba, which are not resampled again."""
     pixels = np.random.default_rng(height).random((height, 2 * height, 3), np.float32)
     write_exr(tmp_path / "map.exr", {"RGB": pixels})
     first, again = tmp_path / "environment.exr", tmp_path / "again.exr"
@@ -458,7 +458,7 @@ def test_an_imported_map_can_be_imported_again(tmp_path, height, turn):
 def test_maps_that_are_none(tmp_path):
     for pixels, said, sentence in (
         (np.ones((8, 8, 3)), {}, "twice as wide"), (np.zeros((8, 16, 3)), {}, "entirely black"),
-        # One row cannot be both poles; and only this one word is understood.
+        # One row cannot be both poles; other values of the mark are ignored.
         (np.ones((1, 8, 3)), {"svu:rows": "poles"}, "twice as wide"),
         (np.ones((33, 32, 3)), {"svu:rows": "elsewhere"}, "twice as wide"),
     ):  # fmt: skip
@@ -476,7 +476,7 @@ def test_maps_that_are_none(tmp_path):
 
 @pytest.fixture
 def source(tmp_path) -> Source:
-    """Two photographs of a quad, and all that goes with them."""
+    """A source with two photographs of a quad, its mesh and light."""
     folder = tmp_path / "given"
     folder.mkdir()
     quad().export(folder / "quad.obj")
@@ -516,7 +516,7 @@ def test_fixed_cameras(source, tmp_path, fix):
     capture = loaded(source, tmp_path / "capture", fixes=(fix,))
     for sensor, frame in zip(capture.sensors, source.frames, strict=True):
         if fix == "camera-inverse":
-            # As if the file's matrix had been taken for its inverse.
+            # The result of reading the matrix as its inverse.
             wanted = np.linalg.inv(frame.to_world @ OPENGL) @ OPENGL
         else:
             axis = "xyz".index(fix.removeprefix("camera-")[0])
@@ -567,7 +567,7 @@ def test_what_is_missing_is_asked_for(source, tmp_path):
 
 
 def test_a_capture_without_a_light_says_so_and_can_be_checked(source, tmp_path):
-    """Poses may be looked at before anybody has taken a picture of the light."""
+    """Poses can be checked without an environment map."""
     notes = import_capture(replace(source, light=None), tmp_path / "capture")
     sentence = (
         "The capture has no light. Commands estimate it from the photographs; svu light shows the "
@@ -714,7 +714,7 @@ NERF = {"camera_angle_x": 0.7, "frames": [
 
 
 def transforms(folder: Path, **changes: object) -> Path:
-    """Write a data set as NeRF's synthetic ones are, with a byte order mark, and a photograph."""
+    """Write a data set like NeRF synthetic, with a byte-order mark, and a photograph."""
     (folder / "train").mkdir(exist_ok=True)
     photograph(folder / "train" / "r_0.PNG")
     (folder / "transforms_train.json").write_text(

@@ -1,4 +1,4 @@
-"""transforms.json: what NeRF tools, Blender and nerfstudio write, and what they get wrong."""
+"""transforms.json of NeRF tools, Blender and nerfstudio, and errors in it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_broken_frame_is_named(tmp_path, case):
 
 def test_too_many_frames_are_refused_unread(tmp_path):
     path = tmp_path / "transforms.json"
-    path.write_text(json.dumps({"frames": [0] * 10_001}))  # none of them is a frame
+    path.write_text(json.dumps({"frames": [0] * 10_001}))  # not frames
     with pytest.raises(CaptureError, match="transforms.json: frames: at most 10000 .*got 10001"):
         read_transforms(path)
 
@@ -86,7 +86,7 @@ def test_intrinsics_of_the_file_are_those_of_its_frames(tmp_path):
 
 
 def turned(seed: int) -> np.ndarray:
-    """A random rotation and translation."""
+    """Return a random rotation and translation."""
     rng = np.random.default_rng(seed)
     matrix = np.eye(4)
     matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]

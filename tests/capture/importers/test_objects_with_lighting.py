@@ -1,4 +1,4 @@
-"""Objects with Lighting: its cameras, tone curve and maps, as its README has them."""
+"""Objects with Lighting: cameras, tone curve and maps, compared with its README."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TURN[:, 0] *= np.linalg.det(TURN)
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """A source with mesh, light, and a photograph that was taken at half the exposure."""
+    """A source with mesh, light, and a photograph with half the exposure."""
     folder = tmp_path_factory.mktemp("source")
     made = foreign_source(folder)
     pixels = np.random.default_rng(52).uniform(0, 3, (8, 16, 3)).astype(np.float32)
@@ -69,7 +69,7 @@ def test_what_is_written_is_read(source, written):
 
 
 def test_cameras_are_those_of_the_readme(written):
-    """``x = K (R X + t)``, as the data set's own snippet reads the file."""
+    """``x = K (R X + t)``, as in the code of the data set."""
     for index, frame in enumerate(read(written, ReadOptions()).frames):
         rows = np.loadtxt(written / f"test/inputs/camera_{index:04d}.txt")
         K, R, t = rows[:3], rows[3:6], rows[6]
@@ -87,7 +87,7 @@ TABLE = {
 
 @pytest.mark.parametrize("turned_by_data_set", [True, False])
 def test_directions_of_the_map_are_those_of_the_readme(written, tmp_path, turned_by_data_set):
-    """A map that holds its own coordinates, asked by Mitsuba's emitter."""
+    """Mitsuba's emitter returns the coordinates that the map contains."""
     height, width = 64, 128
     v, u = np.mgrid[:height, :width]
     pixels = np.stack([(u + 0.5) / width, v / (height - 1), 0 * u], axis=-1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Meshes that leave something to decide: sharp edges, which side is the front, what is ignored."""
+"""Meshes: sharp edges, orientation of surfaces, and ignored features."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_box_without_normals_keeps_its_edges(tmp_path):
 @pytest.mark.parametrize("encoding", ["binary", "ascii"])
 def test_a_ply_keeps_its_own_normals(tmp_path, encoding):
     ball = trimesh.creation.icosphere(subdivisions=1)
-    own = unit(np.array(ball.vertices) + [0.2, 0, 0])  # nobody would compute these
+    own = unit(np.array(ball.vertices) + [0.2, 0, 0])  # unlike computed normals
     ball.vertex_normals = own
     ball.export(tmp_path / "ball.ply", vertex_normal=True, encoding=encoding)
     imported = read_textured_mesh(tmp_path / "ball.ply")
@@ -64,7 +64,7 @@ def test_a_cylinder_is_round_where_its_sides_meet_flatly(sides):
     round_ = mesh.positions[side, :2] / np.linalg.norm(mesh.positions[side, :2], axis=1)[:, None]
     cosine = np.einsum("ni,ni->n", mesh.normals[side, :2], round_)
     if 360 / sides < CREASE:
-        assert cosine.min() > 0.99  # as the cylinder that was meant
+        assert cosine.min() > 0.99  # as on a smooth cylinder
     else:
         np.testing.assert_allclose(cosine, np.cos(np.pi / sides), atol=1e-9)  # as its planes
     np.testing.assert_allclose(np.abs(mesh.normals[~side, 2]), 1)
@@ -93,7 +93,7 @@ def test_smooth_mesh_and_degenerate_triangles_add_no_vertices():
 
 
 def test_the_two_sides_of_a_sheet_do_not_cancel():
-    """Each triangle once more, from behind, on the same vertices."""
+    """The mesh contains each triangle twice, once flipped, on the same vertices."""
     grid = buffers(trimesh.creation.icosphere(subdivisions=2))
     front = grid.faces[grid.positions[grid.faces].mean(axis=1)[:, 2] > 0.2]
     mesh, notes = repair_normals(
@@ -103,7 +103,7 @@ def test_the_two_sides_of_a_sheet_do_not_cancel():
 
 
 def shaken(mesh: trimesh.Trimesh, part: float) -> MeshArrays:
-    """Its points moved by noise, in parts of the mean length of its edges."""
+    """Return the mesh with noise on its points, relative to the mean edge length."""
     points = np.array(mesh.vertices)
     off = np.random.default_rng(0).normal(0, part * mesh.edges_unique_length.mean(), points.shape)
     return MeshArrays(points + off, np.array(mesh.faces), None, None)
@@ -111,7 +111,7 @@ def shaken(mesh: trimesh.Trimesh, part: float) -> MeshArrays:
 
 @pytest.mark.parametrize("part", [0.2, 0.3])
 def test_a_noisy_scan_is_smoothed_all_over(part):
-    """Creases would keep its noise: 31 degrees instead of 20, on average."""
+    """With creases, the mean error of the normals would be 31 degrees instead of 20."""
     mesh, notes = repair_normals(shaken(trimesh.creation.icosphere(subdivisions=5), part), "scan")
     assert notes == [
         "scan: normals are computed; the surface is too noisy to detect edges, so none are kept "
@@ -126,7 +126,7 @@ def test_a_noisy_scan_is_smoothed_all_over(part):
 
 @pytest.mark.parametrize("kind", ["boxes", "cylinders", "rings", "one box"])
 def test_dense_parts_that_were_designed_stay_sharp(kind):
-    """However many of their edges are creases: what is no crease lies in a plane."""
+    """Many edges are creases, but the others are flat."""
     part, count = {
         "boxes": (trimesh.creation.box(), 500), "cylinders": (trimesh.creation.cylinder(1, 2), 50),
         "rings": (trimesh.creation.annulus(0.5, 1, 0.2), 50),
@@ -149,11 +149,11 @@ def test_right_normals_of_a_mesh_that_is_inside_out_are_kept():
     np.testing.assert_allclose(mesh.normals, ball.positions, atol=1e-12)
 
 
-# --- which side is the front ------------------------------------------------------------------
+# --- orientation ------------------------------------------------------------------
 
 
 def open_vase() -> trimesh.Trimesh:
-    """A vase without bottom, lid or thickness, with +Y up."""
+    """Return a vase without bottom, lid or thickness, with +Y up."""
     height, angle = np.meshgrid(np.linspace(-1, 1, 12), np.linspace(0, 2 * np.pi, 24))
     radius = 0.5 + 0.2 * np.cos(2 * height)
     points = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)], axis=-1)
@@ -164,7 +164,7 @@ def open_vase() -> trimesh.Trimesh:
 
 
 def around(count: int = 6, height: float = 1.0, far: float = 4.0) -> list[np.ndarray]:
-    """Poses of cameras that look at the origin."""
+    """Return poses of cameras towards the origin."""
     poses = []
     for angle in np.linspace(0, 2 * np.pi, count, endpoint=False):
         place = np.array([far * np.cos(angle), height, far * np.sin(angle)])
@@ -222,7 +222,7 @@ def test_a_plate_shows_the_side_that_was_photographed(tmp_path, height, turned):
 
 
 def outwardness(folder: Path) -> float:
-    """Mean cosine between the triangles of an imported mesh and the way from its axis."""
+    """Return the mean cosine of imported normals and the direction away from the axis."""
     mesh = capture_mesh.read_ply(folder / "mesh.ply")
     flat = np.array(trimesh.Trimesh(mesh.positions, mesh.faces, process=False).face_normals)
     outward = mesh.positions[mesh.faces].mean(axis=1) * [1, 0, 1]
@@ -231,7 +231,7 @@ def outwardness(folder: Path) -> float:
 
 @pytest.mark.parametrize("inside_out", [False, True])
 def test_a_correction_that_is_asked_for_wins(tmp_path, inside_out):
-    """``--fix mesh-inside-out``, whatever the photographs show; that is said if it is the back."""
+    """``--fix mesh-inside-out`` is always applied; a note warns if back faces are visible."""
     mesh = open_vase()
     if inside_out:
         mesh.faces = mesh.faces[:, ::-1]
@@ -246,7 +246,7 @@ def test_a_correction_that_is_asked_for_wins(tmp_path, inside_out):
 
 
 def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
-    """A mesh in mm among poses in m is not turned: its volume says where its front is."""
+    """A closed mesh in mm with poses in m is not flipped: its volume is positive."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=100.0)
     given = source_of(tmp_path / "given", ball, around())
     notes = import_capture(given, tmp_path / "capture")
@@ -294,17 +294,17 @@ def test_a_plate_seen_from_both_sides_stays_as_it_is():
 
 
 def test_what_hides_the_back_hides_it():
-    """The near wall of a vase hides the far one, whichever way both are wound."""
+    """The near wall of a vase hides the far wall for both windings."""
     vase = buffers(open_vase())
     scene = make_scene([capture_mesh.make_mesh("vase", vase)])
     level = [pose[:3, 3] for pose in around(height=0.0)]
     assert back_face_share(scene, vase, level) < 0.02
-    above = [np.array([0.0, 9.0, 0.1])]  # sees down into it, and the neck from outside
+    above = [np.array([0.0, 9.0, 0.1])]  # sees the inside, and the outside of the neck
     assert 0.15 < back_face_share(scene, vase, above) < 0.5
 
 
 def test_loading_says_that_only_the_back_is_seen(tmp_path):
-    """A scene of Mitsuba's, with a mesh of the user's own that nobody has turned."""
+    """A Mitsuba scene with a mesh that was not imported, so not oriented."""
     import_capture(source_of(tmp_path / "given", open_vase(), around()), tmp_path / "capture")
     path = tmp_path / "capture" / "mesh.ply"
     mesh = capture_mesh.read_ply(path)
@@ -318,11 +318,11 @@ def test_loading_says_that_only_the_back_is_seen(tmp_path):
         svu.load_capture(tmp_path / "capture")
 
 
-# --- what of a glTF is left out ---------------------------------------------------------------
+# --- ignored features of glTF ---------------------------------------------------------------
 
 
 def painted(folder: Path, **material: object) -> Path:
-    """Write a plane with a material, and keys of glTF's that trimesh does not write."""
+    """Write a plane with a material, and glTF keys that trimesh does not write."""
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     picture = Image.fromarray(np.full((4, 4, 3), 128, np.uint8))
     pbr = PBRMaterial(baseColorTexture=picture)

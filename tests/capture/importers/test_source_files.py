@@ -1,4 +1,4 @@
-"""Names in other people's files: what is followed, and what is not."""
+"""Names in files of other tools: accepted and refused paths."""
 
 from __future__ import annotations
 

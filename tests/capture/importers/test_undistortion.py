@@ -1,4 +1,4 @@
-"""Photographs through a distorted lens, ray by ray, lie on their object when they are imported."""
+"""Ray-traced photographs through a distorted lens match their object after the import."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VIEWS = 4
 
 
 def bent_photographs(folder: Path) -> Path:
-    """Trace the knot through a lens; write what a phone's tool would."""
+    """Trace the knot through a lens; write photographs and poses like a phone."""
     scene = mi.load_file(str(scenes.path("knot")), optimize=False)
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     u, v = oracle.straight((x - CENTER[0]) / FOCAL, (y - CENTER[1]) / FOCAL, LENS)
@@ -49,7 +49,7 @@ def bent_photographs(folder: Path) -> Path:
 
 
 def misplaced(folder: Path) -> float:
-    """Part of the object that its mask leaves out or has beside it, but for a pixel at its edge."""
+    """Return the share of wrong mask pixels of the object, except at its silhouette."""
     frames = Thumbnails.of(svu.load_capture(folder, light="optional"))
     wrong = whole = 0
     for seen, mask in zip(silhouettes(frames), frames.masks, strict=True):
