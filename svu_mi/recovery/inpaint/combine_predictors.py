@@ -91,11 +91,11 @@ def predictions(
         return
     texels = np.flatnonzero(graph.known)
     examples = KnownTexels(texels, graph.values[:, texels], graph.weights[:, texels])
-    fallback, near = NEAR_PREDICTOR.predict(graph.pieces, examples, wanted)
-    fallback = np.where(near, fallback, examples.mean)  # where the predictor has no match
+    fallback, has_match = NEAR_PREDICTOR.predict(graph.pieces, examples, wanted)
+    fallback = np.where(has_match, fallback, examples.mean)  # where the predictor has no match
     for predictor in predictors:
         if predictor is NEAR_PREDICTOR:
             yield predictor.title, fallback
             continue
-        values, alike = predictor.predict(graph.pieces, examples, wanted)
-        yield predictor.title, np.where(alike, values, fallback)
+        values, has_match = predictor.predict(graph.pieces, examples, wanted)
+        yield predictor.title, np.where(has_match, values, fallback)

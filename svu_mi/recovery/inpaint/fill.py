@@ -26,7 +26,7 @@ from svu_mi.recovery.inpaint.fill_result import Filled, Fusion, Weights
 from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-DECIDES = "base_color"  # its share limits the shares of others: photographs determine it best
+LIMITING = "base_color"  # its share limits the shares of others: photographs determine it best
 
 
 def fill(
@@ -79,7 +79,7 @@ def fill(
                 f"({above}).",
             )
         errors = _predictor_errors(field, graph, masks, stage)
-        max_share = errors[DECIDES].share if DECIDES in errors else 1.0
+        max_share = errors[LIMITING].share if LIMITING in errors else 1.0
         weights = {n: errors[n].weights(max_share) if n in errors else {} for n in NAMES}
         return _fused(Fusion(field, shown), graph, errors, weights)
 
@@ -97,12 +97,12 @@ def _predictor_errors(
 
 
 def _fused(
-    fusion: Fusion, graph: TexelGraph, judged: Mapping[str, PredictorErrors], weights: Weights
+    fusion: Fusion, graph: TexelGraph, errors_of: Mapping[str, PredictorErrors], weights: Weights
 ) -> Filled:
     """Fuse unknown texels with weighted means of the predictors."""
     predicted, spread = weighted_mean(graph, weights), variance_of(fusion.field, graph.known)
     errors = {name: 0.0 for name in NAMES}
-    for name, each in judged.items():
+    for name, each in errors_of.items():
         rows, squares = TextureField.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
         sd = np.sqrt(np.maximum(squares.max(axis=0)[:, None], spread[rows]))

@@ -161,14 +161,14 @@ def _knn_means(
     count, parts = min(rule.nearest, len(known.texels)), []
     for points in places:
         distance, index = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
-        there = distance[:, 0] < rule.farthest
+        has_match = distance[:, 0] < rule.farthest
         usable = distance < (PIECE_DISTANCE / 2 if rule.inside else np.inf)
         reach = np.where(usable, distance, 0).max(axis=1, keepdims=True)
         scale = np.maximum(rule.bandwidth * reach, 1e-9)
-        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None] * usable
+        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * has_match[:, None] * usable
         weighted = known.weights[:, index] * near
         sums = (weighted * known.values[:, index]).sum(axis=2), weighted.sum(axis=2)
-        parts.append((*sums, there))
+        parts.append((*sums, has_match))
     total, weight, matches = (sum(part) for part in zip(*parts, strict=True))
     return total / np.maximum(weight, 1e-30), matches > 0
 

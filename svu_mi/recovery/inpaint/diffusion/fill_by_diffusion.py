@@ -117,10 +117,10 @@ class _MultiViewInference:
                 self.capture, self.field, self.options.side, used if photographed else None
             )
             task = replace(rest, wanted=start.filled & (self.shown == photographed))
-            answered = self._ask(source, views, task, trials) if task.wanted.any() else None
-            if answered is None:
+            inferred = self._infer(source, views, task, trials) if task.wanted.any() else None
+            if inferred is None:
                 continue
-            answer, values = answered
+            answer, values = inferred
             rest = replace(rest, values=values, known=rest.known | answer.reached)
             answers.append(answer)
             for name, error in answer.errors.items():
@@ -131,7 +131,7 @@ class _MultiViewInference:
         invented = ModelReport(self.model.title, self.model.licence, tuple(answers), reached)
         return replace(start, field=fusion.fused_field(start.filled), invented=invented)
 
-    def _ask(
+    def _infer(
         self, source: ImageSource, views: ConditioningViews, task: Task, trials: Sequence[Task]
     ) -> tuple[Answer, np.ndarray] | None:
         """Return the result on views of one kind, and all values (N, T).

@@ -41,8 +41,8 @@ def blend(
         latent = schedule.step(latent, predict(latent, time), time)
         if number <= len(times) - free:
             last = number == len(times)
-            there = known if last else schedule.noised(known, noise, times[number])
-            latent = certain * there + (1 - certain) * latent
+            restored = known if last else schedule.noised(known, noise, times[number])
+            latent = certain * restored + (1 - certain) * latent
     return latent
 
 
