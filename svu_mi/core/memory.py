@@ -195,13 +195,13 @@ class Need:
         if self.bytes > room:
             raise CaptureError(
                 f"{label}needs {_giga(self.bytes)} GB of memory, {_giga(room)} GB available; "
-                f"{self._less(room) or 'use a machine with more memory'}."
+                f"{self._advice(room) or 'use a machine with more memory'}."
             )
         most, used = address_space() or (inf, 0)
         begun = used - resident() + ARENAS[0] + ARENAS[1] * max(_threads() - 2, 0)
         needed = begun + self._reserved()
         if needed > most:
-            less = self._less(most - begun, reserved=True)
+            less = self._advice(most - begun, reserved=True)
             raise CaptureError(
                 f"{label}needs {_giga(needed)} GB of address space, but ulimit -v allows "
                 f"{_giga(most)} GB; raise the limit{less and f'; {less} of memory'}."
@@ -211,7 +211,7 @@ class Need:
         """Return the bytes of address space for ``bytes`` of memory."""
         return self.bytes + SPARE * self._parts()[1]
 
-    def _less(self, room: float, reserved: bool = False) -> str:
+    def _advice(self, room: float, reserved: bool = False) -> str:
         """Return advice on how many pixels or texels fit into ``room``; empty if none do."""
         shrink, small = 1, self
         while (small._reserved() if reserved else small.bytes) > room:
@@ -297,7 +297,7 @@ def _giga(size: float) -> str:
 
 def free_memory() -> int | None:
     """Return the free memory in bytes, within the limits of this process; None if unknown."""
-    own = [max(size - _own(), 0) for size in _allowed]
+    own = [max(size - _own_memory(), 0) for size in _allowed]
     known = [size for size in (_available(), *_group_rooms(), *own) if size is not None]
     return min(known, default=None)
 
@@ -328,7 +328,7 @@ def held(name: str) -> int | None:
     return _field(PROCESS / "status", name, 1024)
 
 
-def _own() -> int:
+def _own_memory() -> int:
     """Return the resident memory of this process in bytes, excluding file pages."""
     anonymous = held("RssAnon")
     return resident() if anonymous is None else anonymous

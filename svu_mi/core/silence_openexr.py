@@ -46,7 +46,7 @@ class Quiet:
         self._undo.callback(held.close)
         os.dup2(held.fileno(), 2)
 
-        def let_go() -> None:
+        def release() -> None:
             with contextlib.suppress(OSError, ValueError, AttributeError):
                 sys.stderr.flush()
             os.dup2(screen, 2)
@@ -55,7 +55,7 @@ class Quiet:
             with contextlib.suppress(OSError):
                 os.write(2, b"".join(line for line in lines if OPENEXR not in line))
 
-        self._undo.callback(let_go)
+        self._undo.callback(release)
 
 
 class _Others:

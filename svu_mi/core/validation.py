@@ -82,7 +82,7 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
 
     ``what`` (a plural) is the subject of the message, and ``fix`` its remedy.
     """
-    known = [free_memory(), _unreserved()]
+    known = [free_memory(), _free_address_space()]
     free = min((room for room in known if room is not None), default=None)
     if free is not None and size > free:
         raise error(
@@ -91,7 +91,7 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
         )
 
 
-def _unreserved() -> int | None:
+def _free_address_space() -> int | None:
     """Return the bytes of unused address space; None without a limit."""
     space = address_space()
     return None if space is None else max(space[0] - space[1], 0)

@@ -53,9 +53,10 @@ def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float
 
 
 def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[float, float]:
-    """Return the largest first step and slope over channels of 8 or 16 bits (``Rounding``).
+    """Return first step and slope of the quantisation of 8 or 16 bits (see ``Rounding``).
 
-    Codes with equal values form one step; saturated codes are ignored.
+    They are the largest of the channels. Codes with equal values form one step; saturated codes
+    are ignored.
     """
     last = 2**bits - 1
     if not isinstance(transfer, CameraResponse):

@@ -217,7 +217,7 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     """Return sentences about the problems of V photographs."""
     count, low = len(views), {c.bits for c in views if c.bits}
 
-    def those(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
+    def note(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
         names = [f.image.name for f, is_chosen in zip(frames, chosen, strict=True) if is_chosen]
         first = f"{len(names)} of {count} photographs, {names[0]} first," if names else ""
         return [f"{first} {words}"] if len(names) > least else []
@@ -226,27 +226,27 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     dark = [c.crushed for c in views if c.crushed > CRUSHED]
     kinds = " and ".join(map(str, sorted(low)))
     return [
-        *those([c.bits > 0 for c in views],
+        *note([c.bits > 0 for c in views],
               f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}. {clipped} saturated "
               "pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."),
-        *those([c.crushed > CRUSHED for c in views],
+        *note([c.crushed > CRUSHED for c in views],
               f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
               "have a channel of 0): darker radiance is lost; expose longer or use HDR."),
-        *those([c.turned for c in views],
+        *note([c.turned for c in views],
               "are stored rotated; their EXIF orientation is ignored, because poses refer to the "
               "pixels as stored. If svu check shows them rotated, save their pixels upright and "
               "import again."),
-        *those([f.lens is not None for f in frames],
+        *note([f.lens is not None for f in frames],
               "are undistorted; the focal length is kept, and empty borders are cropped."),
-        *those([c.foreign for c in views],
+        *note([c.foreign for c in views],
               "have chromaticities that differ from Rec. 709; their values are not converted: "
               "convert them if colours matter."),
-        *those([c.invalid > 0 for c in views],
+        *note([c.invalid > 0 for c in views],
               f"have {invalid} pixels that are NaN, infinite or negative; these are ignored."),
-        *those([c.empty for c in views], "have an empty mask and are not used."),
-        *those([c.inverted for c in views],
+        *note([c.empty for c in views], "have an empty mask and are not used."),
+        *note([c.inverted for c in views],
               "have a mask that includes the border; if the object is black in it, invert the "
               "masks: white is the object.", least=count / 2),
-        *those([not c.masked for c in views],
+        *note([not c.masked for c in views],
               "have no mask: anything in front of the object is treated as its surface."),
     ]  # fmt: skip

@@ -31,8 +31,8 @@ class Light:
     """Environment map of a capture.
 
     Attributes:
-        path: path (or text) of an HDR or EXR lat-long map. Its first row is centred half a row
-            below the pole, unless it was made for Mitsuba.
+        path: path of an HDR or EXR lat-long map, also as text. Its first row is centred half a row
+            below the pole, unless the map was made for Mitsuba.
         to_world: (3, 3) rotation from the frame of Mitsuba's envmap to the world, such as one of
             ``ENVIRONMENT_AXES``.
         scale: factor of the radiance.

@@ -63,7 +63,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
 
     Args:
         path: path of a GLB, glTF, OBJ, PLY or STL file. Parts are transformed as in the file and
-            merged. V has the direction of the format; in PLY, as in Mitsuba, or up with a texture.
+            merged. V points as the format specifies; in PLY, down, but up if there is a texture.
         geometry_only: True to ignore UVs, textures and the number of materials.
     """
     path = Path(path)

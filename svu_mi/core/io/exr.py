@@ -113,11 +113,11 @@ def read_header(path: str | Path) -> Header:
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     if any(part.get("type") in DEEP for part in parts):
         raise CaptureError(f"{path}: a deep EXR file; export it as a flat image.")
-    _require_sane(path, sizes, counts)
+    _check_sizes(path, sizes, counts)
     return Header(sizes[0], cropped, foreign, _plain(first))
 
 
-def _require_sane(path: Path, sizes: Sequence[tuple[int, int]], counts: Sequence[int]) -> None:
+def _check_sizes(path: Path, sizes: Sequence[tuple[int, int]], counts: Sequence[int]) -> None:
     """Check channel counts and sizes of all parts, since the binding reads all of them."""
     if max(counts) > MAX_CHANNELS:
         raise CaptureError(

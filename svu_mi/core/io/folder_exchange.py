@@ -62,7 +62,7 @@ def locked(target: Path, wait: float = 0) -> Iterator[Path]:
     descriptor = _acquire(draft, target, wait)
     own = draft.lstat()
     try:
-        _settle(target)
+        _restore_older(target)
         yield draft
     finally:
         if is_at(own, draft):  # else exchanged; another writer may use the name
@@ -184,7 +184,7 @@ def restore(folder: str | os.PathLike[str]) -> None:
             pass
 
 
-def _settle(target: Path) -> None:
+def _restore_older(target: Path) -> None:
     """Rename the older folder to its name, or to an unused name if a new folder exists."""
     older = beside(target, OLDER)
     if is_folder(older):

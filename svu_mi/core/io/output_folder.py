@@ -121,10 +121,10 @@ def claimed(
         with locked(target) as draft:
             if target.exists():
                 prepare_folder(target)  # check that it is a writable folder
-            if not overwrite and (reason := _stranger_in(target, command)):
+            if not overwrite and (reason := _foreign_file(target, command)):
                 raise _occupied(shown, f"contains other files: {reason}")
             claim = Claim(shown, target, draft, command)
-            _carry(draft, target)
+            _move_kept(draft, target)
             claim.clear(is_needed)
             own = draft.lstat()
             try:
@@ -177,19 +177,19 @@ def writing(
 def _put_in_place(claim: Claim) -> None:
     """Exchange the draft with the older folder; remove that, or keep it if it has other files."""
     draft, target = claim.draft, claim.target
-    other = _stranger_in(target, claim.command)
+    other = _foreign_file(target, claim.command)
     new = draft.rename(unused_name(target)) if other else draft
     with exchanged(new, target):  # from here on, ``new`` names the older folder
-        _carry(new, target)
+        _move_kept(new, target)
         for path in target.glob(".svu-*"):  # only needed to resume a run
             _remove(path)
         if not other:
             shutil.rmtree(draft, ignore_errors=True)
     if other:
-        _say_kept(claim.folder, new)
+        _warn_kept(claim.folder, new)
 
 
-def _carry(source: Path, target: Path) -> None:
+def _move_kept(source: Path, target: Path) -> None:
     """Move the files and folders named in ``KEPT`` from one folder to another."""
     for path in list(source.iterdir()) if source.is_dir() and target.is_dir() else ():
         if is_kept(path.name) and not os.path.lexists(target / path.name):
@@ -241,7 +241,7 @@ def _mounts() -> set[str]:
     return set()
 
 
-def _stranger_in(folder: Path, command: str) -> str:
+def _foreign_file(folder: Path, command: str) -> str:
     """Return why a file is not part of the command's older result; empty if all files are."""
     if not folder.exists():
         return ""
@@ -289,7 +289,7 @@ def write_page(path: Path, page: str) -> None:
         temporary.write_bytes(content + f"<!-- svu:page={digest_of(content)} -->\n".encode())
         if not (path.is_dir() or _is_own_page(path)):
             path.rename(kept := unused_name(path))
-            _say_kept(path, kept)
+            _warn_kept(path, kept)
 
 
 def require_own_page(path: Path) -> None:
@@ -307,7 +307,7 @@ def _is_own_page(path: Path) -> bool:
     return mark is not None and digest_of(content[: mark.start()]) == mark[1].decode()
 
 
-def _say_kept(path: Path, kept: Path) -> None:
+def _warn_kept(path: Path, kept: Path) -> None:
     warnings.warn(
         f"{path}: the older content is kept as {kept.name}; remove it if you do not need it.",
         SvuWarning,

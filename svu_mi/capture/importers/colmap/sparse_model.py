@@ -30,7 +30,7 @@ PARAMETERS = {
     "SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6,
     "EQUIRECTANGULAR": 2,
 }  # fmt: skip
-# Number of focal lengths of models that are pinholes if all later parameters are zero.
+# Number of focal lengths. These models are pinholes if all distortion parameters are zero.
 FOCAL_LENGTHS = {
     "SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2,
     "FULL_OPENCV": 2, "SIMPLE_DIVISION": 1, "DIVISION": 2,
