@@ -16,7 +16,7 @@ from svu_mi.errors import CaptureError
 SUFFIXES = (".exr", ".hdr", ".pfm")
 FINE = 512  # rows; larger maps get only one more row
 ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and its tolerance
-MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
+MIRROR = np.diag([-1.0, 1.0, 1.0])  # mirrors the envmap's frame: u becomes 1 - u
 
 
 def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:

@@ -108,7 +108,7 @@ def write_pictures(textures: Textures, folder: Path) -> None:
 def _gltf_textures(material: Any) -> Textures:
     base, factor = _rgb(material.baseColorTexture), material.baseColorFactor
     factor = np.ones(3) if factor is None else np.array(factor, np.float64)[:3]
-    # trimesh keeps colours as bytes; the factor itself is linear.
+    # trimesh may store the linear factor as bytes.
     factor = factor / 255 if factor.max() > 1 else factor
     packed = _rgb(material.metallicRoughnessTexture)
     rough, metal = (

@@ -80,7 +80,7 @@ def read_orb(
     """Read a capture of Stanford-ORB.
 
     Args:
-        path: path of its folder, ``DATA/blender_HDR/CAPTURE`` (or ``blender_LDR``).
+        path: path of the folder, ``DATA/blender_HDR/CAPTURE`` (or ``blender_LDR``).
         split: ``train``, ``test``, or the name of another capture of this object, for its
             ``novel`` views.
         environment_view: name of the test photograph, such as ``0003``, whose environment map is

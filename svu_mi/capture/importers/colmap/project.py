@@ -93,7 +93,7 @@ def find_model(path: Path) -> Path | None:
 def read_project(
     path: Path, images: Path | None, masks: Path | None, *, partly: bool = False
 ) -> Project:
-    """Read a model and find its pictures; if ``partly``, some photographs may be missing.
+    """Read a model and find its pictures; with ``partly``, photographs may be missing.
 
     Paths are as in ``read``.
     """

@@ -81,7 +81,7 @@ def undistort(
 
 
 def _require_one_to_one(camera: ColmapCamera, label: str) -> None:
-    """Raise CaptureError if the lens folds over: COLMAP would write pictures of rings."""
+    """Raise CaptureError if the lens folds over: COLMAP would write rings."""
     lens = camera.lens()
     if lens is None:
         return
