@@ -131,7 +131,7 @@ class Bench(BaseCommand):
 
 
 LISTED = "; ".join(f"{name}: {text}" for name, text in BENCHMARKS.items())
-Bench.__doc__ = f"{Bench.__doc__}\n\n    Benchmarks: {LISTED}."  # for --help
+Bench.__doc__ = f"{Bench.__doc__}\n\n    Benchmarks: {LISTED}."
 
 
 def parse_names(words: str, option: str) -> tuple[str, ...]:

@@ -154,7 +154,7 @@ def _run_child(name: str, function: str, *arguments: str, remedy: str) -> Health
 
 
 def collect_facts() -> None:
-    """Print facts of Dr.Jit and Mitsuba, as one line of JSON."""
+    """Print facts of Dr.Jit and Mitsuba as one line of JSON (in a child process)."""
     import drjit as dr
     import mitsuba as mi
 
@@ -174,7 +174,7 @@ def collect_facts() -> None:
 
 
 def render_test(variant: str) -> None:
-    """Render a white furnace test, whose image is 1, and print its mean."""
+    """Render a white furnace test, whose image is 1, and print its mean (in a child process)."""
     import drjit as dr
     import mitsuba as mi
     import numpy as np

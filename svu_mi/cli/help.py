@@ -88,9 +88,7 @@ def command_help(name: str, command: Any) -> str:
     return "\n\n".join(usage + listed)
 
 
-def _options(
-    source: Callable[..., Any], title: str = OTHERS
-) -> Iterator[tuple[str, str, str, str]]:
+def _options(source: Callable[..., Any], title: str = OTHERS) -> Iterator[tuple[str, ...]]:
     """Yield name, title of the group, flags and text of each option of a class or constructor."""
     hints, texts = typing.get_type_hints(source, include_extras=True), _texts(source)
     for field, parameter in inspect.signature(source).parameters.items():
