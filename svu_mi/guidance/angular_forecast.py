@@ -1,13 +1,14 @@
 """Expected entropy (Eq. 13) or variance with the residuals of the angular method.
 
-If psi_0 is true, photographs of a set S of views are r_i(psi_0). Other parameters psi then have
-the energy
+If psi_0 is true, the photographs from a set S of views show the radiance r_i(psi_0). Other
+parameters psi then have the energy
 
     d_S(psi_0, psi) = sum_{i in S} w_i |r_i(psi_0) - r_i(psi)|^2 / (2 s^2 tau),
 
-a sum over views and channels, or a mean over views if the estimate uses one, with the weights w_i
-of the estimate. A candidate adds one term. Three sums per row and channel determine the energy of
-all base colours (``objectives.py``). ``Responses`` contain e, p, q, d by level and channel.
+a sum over views and channels with the weights w_i of the estimate. It is divided by the number of
+views if the estimate averages over views. A candidate adds one term. Three sums per row and channel
+determine the energy of all base colours (``objectives.py``). ``Responses`` contain e, p, q, d by
+level and channel.
 """
 
 from __future__ import annotations
@@ -61,10 +62,10 @@ def respond(scene: Any, model: ReflectionModel) -> ResponseFunction:
 
 @dataclass(frozen=True)
 class AngularForecast(Forecast):
-    """``Forecast`` on a ``PrincipledGrid`` of R M rows: all axes except the base colour.
+    """``Forecast`` on a ``PrincipledGrid``; its R M rows fix all parameters but base colour.
 
     Attributes:
-        truths: (T * R * M * C,) Float, base colour of each row if the row is true.
+        truths: (T * R * M * C,) Float, base colour to assume if a row is the truth.
         precision: (T,) Float, 1 / (2 s^2 tau).
         kappa: Radiance at which weights begin to fall (``noise_weight``).
     """
@@ -100,7 +101,7 @@ class AngularForecast(Forecast):
         return steps
 
     def _expect(self, texels: np.ndarray, number: int, kernel: Callable[..., Any]) -> np.ndarray:
-        """Return expected measures (number, L) of texels (L,); 0 for texels that are not seen."""
+        """Return expected measures (number, L) of texels (L,); 0 for unseen texels."""
         place, hypothesis = self.hypotheses.of_texels(texels)
         out = dr.zeros(mi.Float, number * len(place))
         dr.eval(out)
@@ -177,9 +178,9 @@ class _HypothesisLanes:
     def products(
         self, sums: list[Any], lobes: Lobes, mixed: Any, shown: PredictedSample | None
     ) -> list[Any]:  # fmt: skip
-        """Add a view's three sums to a row: w slope^2, w slope * rest, w rest^2.
+        """Return the sums of a row (A, B, C of ``objectives``, per channel) with a view added.
 
-        Nothing is added if ``shown`` is None.
+        ``shown`` contains weight and radiance of the view; with None, ``sums`` are returned.
         """
         if shown is None:
             return sums
@@ -224,7 +225,7 @@ class _HypothesisLanes:
 
     @dr.syntax
     def evaluate(self, sums: list[Any], views: Any, candidate: Any | None) -> Any:
-        """Return the measure (Float) for ``sums``, plus a visible candidate if there is one."""
+        """Return the measure, Float, for ``sums`` and one more view ``candidate`` (or None)."""
         share = dr.select(self._averaged, dr.rcp(views), 1)
         shown = None if candidate is None else self.predicted(candidate)
         total = self.measure.start()
@@ -244,7 +245,7 @@ class _HypothesisLanes:
         return self.measure.value(total)
 
     def row(self, sums: list[Any], row: Any) -> tuple[Any, Any]:
-        """Return the lowest energy of a row minus the truth's, and the channels' likelihoods."""
+        """Return lowest energy of a row minus the truth's energy, and likelihood per channel."""
         _, colors, _, usual = self.truth
         bound, channels = self._forecast.colors.channels(sums, colors)
         return bound + self._prior(row) - usual, channels
@@ -268,7 +269,7 @@ class _HypothesisLanes:
         return dr.gather(mi.Float, self._forecast.prior, row)
 
     def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
-        """Return radiance as (slope, intercept) over the base colour, per channel of a row."""
+        """Return slope and intercept of radiance over base colour, per channel of a row."""
         how = mixture(*row_entropy.row_values(mi.Float, self._mixed, mixed))
         lines = [(dot(how.slope, x), dot(how.offset, x)) for x in lobes]
         return lines if len(lines) == self.channels else lines * self.channels
@@ -278,7 +279,7 @@ class _HypothesisLanes:
 def _with_each_candidate(
     lanes: _HypothesisLanes, known: _ViewList, candidates: _ViewList, out: Any
 ) -> Any:
-    """Write p(psi_0) times the measure for the views and each candidate: (candidates, lanes)."""
+    """Write p(psi_0) times the measure with each candidate added alone: (candidates, lanes)."""
     sums = lanes.empty()
     n = mi.Float(0)
     i = mi.UInt32(0)
@@ -296,7 +297,7 @@ def _with_each_candidate(
 
 @dr.syntax
 def _view_by_view(lanes: _HypothesisLanes, views: _ViewList, known: int, out: Any) -> Any:
-    """Write p(psi_0) times the measure after the first ``known`` views and after each later one."""
+    """Write p(psi_0) times the measure given ``known`` views, then with each later view added."""
     sums, last = lanes.empty(), dr.opaque(mi.UInt32, known - 1)
     n = mi.Float(0)
     i = mi.UInt32(0)

@@ -103,7 +103,7 @@ class Candidates:
         Args:
             capture: Capture whose first photograph defines film size and lens.
             count: Number of candidates.
-            up: Direction of the top of the sphere.
+            up: Upward direction, towards the top of the sphere.
             lowest: Sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
             distance: Distance to the object's centre, in scene units; default: the median of the
                 photographs.

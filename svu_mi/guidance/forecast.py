@@ -24,9 +24,9 @@ from svu_mi.posterior.grid import Grid
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Hypotheses psi_0 of T texels: cells and probabilities, (K T,), at k T + t.
+    """Cells and probabilities of hypotheses psi_0 for T texels, (K T,) each.
 
-    ``counts`` (T,) is the number of used hypotheses of each texel, at most K.
+    Hypothesis k of texel t has the index k T + t. Each texel uses its first ``counts`` (T,) ones.
     """
 
     bins: Any
@@ -34,12 +34,12 @@ class Hypotheses:
     counts: Any
 
     def at(self, number: Any, texel: Any) -> tuple[Any, Any]:
-        """Return cell and probability of hypothesis ``number`` of texels."""
+        """Return cell and probability of the hypothesis with index ``number``, per texel."""
         place = number * self._stride + texel
         return dr.gather(mi.UInt32, self.bins, place), dr.gather(mi.Float, self.weights, place)
 
     def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the position in ``texels`` and the number of all N hypotheses: (N,) int64 each."""
+        """List all N hypotheses: indices into ``texels`` and within the texel, (N,) int64 each."""
         counts = self.counts.numpy()[texels].astype(np.int64)
         place = np.repeat(np.arange(len(texels)), counts)
         return place, np.arange(len(place)) - (np.cumsum(counts) - counts)[place]
@@ -52,7 +52,7 @@ class Hypotheses:
     def draw(
         probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
     ) -> Hypotheses:
-        """Draw ``most`` cells from (T, N) probabilities; enumerate if no more are possible.
+        """Draw ``most`` cells per texel from (T, N) probabilities, or list all if they suffice.
 
         ``starts`` are (T,) random in [0, 1); ``possible`` (default N) cells have a prior above 0.
         """
@@ -65,7 +65,7 @@ class Hypotheses:
 
     @staticmethod
     def of(weights: np.ndarray) -> Hypotheses:
-        """Return the cells of positive weight (T, N), in descending order."""
+        """Create hypotheses from all positive ``weights`` (T, N), largest weight first."""
         counts = (weights > 0).sum(axis=1)
         most = max(int(counts.max(initial=0)), 1)
         bins = np.argpartition(-weights, min(most, weights.shape[1] - 1), axis=1)[:, :most]
@@ -80,7 +80,7 @@ class Hypotheses:
 
 
 def _systematic_sample(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
-    """Return shares k / K of cells drawn at equal steps of probability, (T, N)."""
+    """Draw K cells at equal steps of probability; return each cell's share of draws, (T, N)."""
     # Number of points (i + start) / K below the upper end of each cell.
     below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
     below[cumulative >= cumulative[:, -1:]] = most  # rounding must not lose the last point
@@ -147,7 +147,7 @@ class Forecast(ABC):
     def _evaluate(
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
-        """Return E[H] like ``expected``, undefined if not seen; (1, L) without candidates."""
+        """Return E[H] as ``expected``, arbitrary for unseen texels; (1, L) without candidates."""
 
 
 def numbers(values: np.ndarray | list[int]) -> Any:

@@ -1,4 +1,4 @@
-"""Greedy selection of views: every choice is treated as photographed by the next ones."""
+"""Greedy selection of views: chosen views count as photographed in all later choices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BATCH = 8  # candidates per launch; a small batch raises the bound that skips la
 
 
 class GreedyScorer:
-    """Lowest expected entropy (Eq. 13), mean over texels; unseen texels have the prior's entropy.
+    """Scorer by expected entropy (Eq. 13), mean over texels; the prior's entropy if unseen.
 
     A choice invalidates E[H] of the texels that the new view sees, or of all texels if the forecast
     is not separable. With ``lazy``, a candidate is updated only if its last gain, increased by

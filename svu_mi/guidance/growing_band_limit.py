@@ -37,7 +37,8 @@ Relight = Callable[[int], tuple[Responses, float]]
 class GrowingForecast(SpectrumForecast):
     """``SpectrumForecast`` with light that sharpens with every view.
 
-    ``responses``, ``prefilter`` and the weights of ``hypotheses`` are the initial ones.
+    ``responses`` and ``prefilter`` belong to the light of the estimate. ``hypotheses``
+    are all cells, weighted by the prior.
 
     Attributes:
         photographs: (T (l* + 1) C,) Float, power spectra S_B by texel, degree and channel.
@@ -63,7 +64,7 @@ class GrowingForecast(SpectrumForecast):
         return evaluate(views, candidates, texels)
 
     def _lit_for(self, views: int) -> GrowingForecast:
-        """Return the forecast with the light for ``views`` views; caches the last one."""
+        """Return the forecast with the light for ``views`` views; the last result is cached."""
         if views not in self._lights:
             self._lights.clear()  # responses are large
             responses, prefilter = self.relight(views)
@@ -71,7 +72,7 @@ class GrowingForecast(SpectrumForecast):
         return self._lights[views]
 
     def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
-        """Add S_L' S_B by degree and the sum of S_B^2, over 2 sigma^2, to the kept values."""
+        """Extend the stored values by S_L' S_B per degree and sum of S_B^2, over 2 sigma^2."""
         count, of_light = super()._kept(lane)
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
         channels = self.switches.colors

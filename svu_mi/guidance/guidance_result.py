@@ -63,7 +63,7 @@ class Guidance:
         texels: The T texels.
         options: Options of the comparison.
         method: Method of the estimate.
-        skipped: Counts of skipped and evaluated work, by name.
+        skipped: Numbers of skipped texels, candidates and pairs, and of evaluated pairs.
         timings: Seconds per stage, synchronised.
 
     Example:
@@ -103,8 +103,8 @@ class Guidance:
         """Return the gain of every texel by each proposal, (proposals, T) float32.
 
         Includes texels that were not evaluated for the ranking; 0 if the proposal does not see
-        the texel. In textures of more than 128 texels, a block of neighbours (2 x 2 for 256)
-        shares one value. Computed by a forecast on first use, whatever the strategy.
+        the texel. If a side has more than 128 texels, blocks of texels (2 x 2 for a side
+        of 256) share one value. Computed by a forecast on first use, whatever the strategy.
 
         Raises:
             OptionError: the estimate cannot predict photographs.
@@ -130,7 +130,7 @@ class Guidance:
         return maps
 
     def _blocks(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return one texel of each block of (t,) texels, and the block index of each, (t,)."""
+        """Group (t,) texels in blocks; return one texel per block and each texel's block, (t,)."""
         width, height = self.texels.resolution
         side = -(-max(width, height) // MAP_SIZE)
         row, column = texel_squares(self.texels)[chosen].T

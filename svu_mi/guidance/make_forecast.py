@@ -120,7 +120,7 @@ def _angular_forecast(
 
 
 def _row_truths(posterior: Posterior[Any], texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row masses (t, rows), and the base colour of each row if it is true, (t, rows, C)."""
+    """Return row masses (t, rows), and base colours to assume for true rows, (t, rows, C)."""
     kernel, nodes = posterior.kernel, posterior.grid.axes["base_color"]
     if not isinstance(kernel, CalibratedKernel):
         p = np.array(posterior.probabilities_of(texels))
@@ -180,7 +180,7 @@ def _growing_forecast(
     known: SpectrumForecast, posterior: Posterior[SpectrumKernel], observed: Observed,
     texels: np.ndarray, collect: CollectFunction,
 ) -> GrowingForecast:  # fmt: skip
-    """Return a forecast whose light sharpens with every view, weighted by the likelihood."""
+    """Return a forecast whose light, and thus the likelihood, sharpens with every view."""
     switches, environment = known.switches, observed.lighting.environment
     surface = TexelLanes.of(observed.texels, numbers(texels))
 

@@ -160,7 +160,7 @@ def _evenly_spaced(count: int, options: GuidanceOptions) -> np.ndarray:
 
 
 def _skipped(greedy: GreedyScorer | None, inputs: StrategyInputs) -> dict[str, int]:
-    """Return counts of skipped and evaluated work, by name."""
+    """Return numbers of skipped texels, candidates and pairs, and of evaluated pairs."""
     reachable = inputs.candidates.reachable
     sees = inputs.seen[inputs.photographs :][reachable]
     return {

@@ -5,8 +5,9 @@ to the row of psi_0. Base colours c are integrated in closed form per channel, f
 
     E(c) = A x^2 - 2 B x + C,    x = c - c_0,
 
-where A, B, C sum w slope^2, w slope rest, w rest^2 over the views, in units of 2 s^2 tau. ``rest``
-is the difference of radiance at c_0. Entropies are computed from the grid's cell masses.
+where A, B and C are sums over the views, divided by 2 s^2 tau: A of w a^2, B of w a b and C of
+w b^2. The radiance of the row is linear in c with slope a; b is its residual at c = c_0. Entropies
+are computed from the grid's cell masses.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class ColorMarginal(NamedTuple):
 
 
 def color_marginal(energies: list[Any]) -> ColorMarginal:
-    """Sum over the cells of a row; energies are positive, the smallest close to 0."""
+    """Sum over the cells of a row, given their energies >= 0 (the smallest is about 0)."""
     p = [dr.exp(-x) for x in energies]
     z = sum(p)
     zx = sum(a * x for a, x in zip(p, energies, strict=True))
@@ -56,13 +57,13 @@ class Measure(Protocol):
         """Measure of a texel that no view sees."""
 
     def start(self) -> list[Any]:
-        """Return the sums of zero rows."""
+        """Return the sums before the first row is added."""
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row; ``shared`` contains roughness and the mixing parameters, as Floats."""
 
     def value(self, sums: list[Any]) -> Any:
-        """Return the measure for complete sums."""
+        """Return the measure after all rows are added."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class EntropyMeasure:
     """Normalised entropy (Eq. 5) by the chain rule: entropy of rows plus colours given rows.
 
     Attributes:
-        max_entropy: Nats that count as entropy 1: log n for n cells, or the prior's.
+        max_entropy: Entropy in nats that is scaled to 1: log n for n cells, or the prior's.
         unseen: Entropy of the prior, in this unit.
     """
 
@@ -78,7 +79,7 @@ class EntropyMeasure:
     unseen: float = 1.0
 
     def start(self) -> list[Any]:
-        """Return 0 for Z and for the sum of w (H - log w) over rows of weight w."""
+        """Return zeros: sums of w and of w (H - log w) over rows of weight w."""
         return [mi.Float(0), mi.Float(0)]
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
@@ -113,7 +114,7 @@ class VarianceMeasure:
         return sum(p / v for p, v in zip(self.prior, self.present, strict=True))
 
     def start(self) -> list[Any]:
-        """Return 0 for Z and the sums of w x and w x^2 of shared parameters and channels."""
+        """Return zeros: sum of w, and of w x and w x^2 for each parameter and channel x."""
         return [mi.Float(0) for _ in range(1 + 2 * (len(self.present) - 1 + self.channels))]
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
@@ -225,7 +226,7 @@ def _sum_over_nodes(
 
 
 def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]:
-    """Return -log prior of rows, (R * M,) Float, and colour densities relative to ``usual``.
+    """Return -log prior of rows, (R * M,) Float, and colour densities divided by ``usual``.
 
     ``prior`` is (R, M, K) and sums to 1. Densities are (R * M * K,) Float, or None if all are 1.
     """

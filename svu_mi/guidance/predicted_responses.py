@@ -32,7 +32,7 @@ class Responses:
     Attributes:
         first: (V T,) Float, first column of every view and texel; 0 if not seen.
         slot: (V T,) UInt32, index among the visible pairs.
-        rest: (pairs Q 4,) Float, the other columns of visible pairs in Q groups of four.
+        rest: (pairs Q 4,) Float, columns 1 to K - 1 of visible pairs, in Q groups of four.
     """
 
     first: Any
@@ -44,7 +44,7 @@ class Responses:
 
     @staticmethod
     def of(first: Any, columns: int, count: int) -> Responses:
-        """Allocate the other columns of all visible pairs."""
+        """Create responses from their first column; allocate the memory of columns 1 to K - 1."""
         seen = dr.select(first > 0, mi.UInt32(1), 0)
         slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # exclusive sum
         rest = dr.empty(mi.Float, max(pairs, 1) * padded_to_quads(columns - 1))  # never size 0
@@ -85,7 +85,7 @@ class Responses:
         return dr.gather(mi.Vector4f, self.rest, place, self.sees(view) > 0)
 
     def write(self, view: Any, columns: list[Any], active: Any) -> None:
-        """Write all columns of a view but the first, inside the kernel that computes them."""
+        """Write columns 1 to K - 1 of a view, inside the kernel that computes them."""
         slot, mode = self._slot(view) * self.groups, dr.ReduceMode.NoConflicts
         rest = columns + [mi.Float(0)] * (QUAD * self.groups - len(columns))
         for group in range(self.groups):

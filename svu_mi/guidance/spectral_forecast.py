@@ -83,7 +83,7 @@ class SpectrumForecast(Forecast):
         return result.reshape(sees.shape)
 
     def _powers(self, views: np.ndarray, candidates: np.ndarray | None, lane: Any) -> Any:
-        """Return the values of ``_kept``: (A, K, L) for candidates, (1, K, L) for views alone."""
+        """Return K values per texel (see ``_kept``): (A, K, L), or (1, K, L) without candidates."""
         asked = np.empty(0, np.int64) if candidates is None else candidates
         rows = self.responses.at(lane)
         size = dr.width(lane)
@@ -113,7 +113,10 @@ class SpectrumForecast(Forecast):
         return to_drjit(mi.Float64, np.concatenate([value.numpy() for value in values]))
 
     def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
-        """Return K and a function: spectrum -> K Float64, sum_C S_L'(l)^2 / (2 sigma^2), l > 0."""
+        """Return K, and a function that reduces a spectrum S_L' to K Float64 values.
+
+        Value l is the sum of S_L'(l)^2 / (2 sigma^2) over channels, 0 < l <= K.
+        """
         del lane
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
 
@@ -123,11 +126,11 @@ class SpectrumForecast(Forecast):
         return self.switches.degree, keep
 
     def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
-        """Return the hypotheses for the lanes of a launch; ``kept`` are the values of ``_kept``."""
+        """Return the hypotheses of each lane's texel; ``kept`` are K Floats (see ``_kept``)."""
         return SpectrumHypotheses(self, texel, kept)
 
     def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:
-        """Return E[H] of pairs, numbered candidate * L + texel."""
+        """Return E[H] of pairs with the indices candidate * L + texel."""
         size = dr.opaque(mi.UInt32, dr.width(lane))
         candidate = pairs // size
         place = pairs - candidate * size
@@ -177,7 +180,7 @@ class SpectrumHypotheses:
         return weight, [square * e for e in fall], self._prior_of(cell)
 
     def energies(self, level: Any, truth: list[Any], prior: Any) -> list[Any]:
-        """Return d / (2 sigma^2) - log prior of the cells of a roughness, minus the truth's."""
+        """Return d / (2 sigma^2) - log prior + log prior of the truth, for one roughness level."""
         both = [t * S for t, S in zip(truth, self._light, strict=True)]
         observed = sum(t * x for t, x in zip(truth, both, strict=True))
         products = SpectrumProducts(self._light, both, observed)

@@ -23,7 +23,7 @@ class ViewScorer(Protocol):
     """Scores of candidates under a strategy, updated as candidates are chosen."""
 
     def scores(self) -> np.ndarray:
-        """Return the score of each candidate, (C,) float64; the highest is best and exact."""
+        """Return the scores of all candidates, (C,) float64. Only the highest must be exact."""
 
     def choose(self, candidate: int) -> None:
         """Treat a candidate as photographed in later calls."""
@@ -52,7 +52,7 @@ class FarthestScorer:
         return self._angles
 
     def choose(self, candidate: int) -> None:
-        """Add the direction of a candidate."""
+        """Add the direction of a candidate to the views so far."""
         own = _angles(self._candidates, self._candidates[[candidate]])[:, 0]
         self._angles = np.minimum(self._angles, own)
 
@@ -86,11 +86,11 @@ class RandomScorer:
         return self._scores
 
     def choose(self, candidate: int) -> None:
-        """Do nothing: the other ranks stay."""
+        """Do nothing: ranks do not depend on earlier choices."""
 
 
 class CoverageScorer:
-    """Most texels seen by few views: a texel with n views so far has the weight 2^-n."""
+    """Scorer by coverage: a texel that n views see so far has the weight 2^-n."""
 
     def __init__(self, seen: np.ndarray, views: int) -> None:
         """Initialise from visibility (V, T) bool; the first ``views`` have photographs."""
@@ -98,7 +98,7 @@ class CoverageScorer:
         self._weight = 0.5 ** seen[:views].sum(axis=0)
 
     def scores(self) -> np.ndarray:
-        """Return the sum of the weights of seen texels over T, (C,)."""
+        """Return the sum of the weights of the texels that each candidate sees, over T, (C,)."""
         return np.where(self._sees, self._weight, 0).mean(axis=1)
 
     def choose(self, candidate: int) -> None:
