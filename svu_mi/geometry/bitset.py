@@ -1,4 +1,4 @@
-"""Bit sets: one bit per kernel lane and number (view or light cell)."""
+"""Bit sets: N bits per kernel lane, such as one for each view or light cell."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Bits:
 
     @staticmethod
     def clear(numbers: int, lanes: int) -> Bits:
-        """Return a bit set of zeros, with at least one bit per lane."""
+        """Return zeros: ``numbers`` bits, at least one, for each of ``lanes`` lanes."""
         numbers = max(numbers, 1)
         words = -(-numbers // WORD)
         return Bits(
@@ -38,12 +38,12 @@ class Bits:
         )  # fmt: skip
 
     def set(self, number: Any, lane: Any, active: Any) -> None:
-        """Set bits; each bit must be 0 before and may be set only once."""
+        """Set bit ``number`` of each active lane to 1; the bit must be 0 before."""
         bit, place = mi.UInt32(1) << (number % WORD), (number // WORD) * self.stride + lane
         dr.scatter_add(self.words, bit, place, active, dr.ReduceMode.NoConflicts)
 
     def push(self, word: Any, number: Any, lane: Any, value: Any) -> Any:
-        """Append the bit of the next number; ``word`` is the last result."""
+        """Write bit ``number``, in ascending order; return ``word`` for the next call."""
         place = number % WORD
         word = dr.select(place == 0, 0, word) | dr.select(value, mi.UInt32(1) << place, 0)
         full = (place == WORD - 1) | (number == self.last)
@@ -62,7 +62,7 @@ class Bits:
         return Bits(dr.gather(mi.UInt32, self.words, taken), count, self.last)
 
     def joined(self, other: Bits) -> Bits:
-        """Append the lanes of another bit set with the same numbers."""
+        """Append the lanes of another bit set with the same number of bits per lane."""
         rows = [
             bits.words.numpy().reshape(-1, max(int(bits.stride[0]), 1)) for bits in (self, other)
         ]
@@ -85,6 +85,6 @@ class Bits:
         return np.asarray(total.numpy(), np.int64)
 
     def test(self, number: Any, lane: Any) -> Any:
-        """Return the bits as Bool."""
+        """Return bit ``number`` of each ``lane``, as Bool."""
         word = dr.gather(mi.UInt32, self.words, (number // WORD) * self.stride + lane)
         return ((word >> (number % WORD)) & 1) != 0

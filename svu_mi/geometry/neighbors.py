@@ -29,7 +29,8 @@ class Neighbors:
 
     Attributes:
         pairs: Two (P,) UInt32 with the texel indices of each edge, the lower one first.
-        around: K arrays (T,) UInt32, neighbours of each texel, padded by its own index; symmetric.
+        around: K arrays (T,) UInt32, the k-th neighbour of each texel; the texel's own index if it
+            has fewer neighbours. If a is a neighbour of b, b is a neighbour of a.
         seams: Number of edges across a seam.
     """
 
@@ -38,7 +39,7 @@ class Neighbors:
     seams: int
 
     def __post_init__(self) -> None:
-        """Raise unless padding is last, as ``over_neighbors`` assumes."""
+        """Raise if padding precedes a neighbour, which ``over_neighbors`` would skip."""
         own, hidden = dr.arange(mi.UInt32, self.count), mi.Bool(False)
         for column, after in zip(self.around, self.around[1:], strict=False):
             hidden |= (column == own) & (after != own)
@@ -76,7 +77,8 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     """Find the neighbours of each texel on the surface, also across seams.
 
     Texels adjacent in the UV map are neighbours, unless they are over two texels apart in space or
-    have opposite normals. At chart edges, the texel nearest to the extrapolated position is used.
+    have opposite normals. At a chart edge, the position of the next texel is extrapolated, and the
+    texel of another chart nearest to this position is the neighbour.
     """
     right, down = _grid_pairs(texels)
     if mesh is None:
@@ -90,7 +92,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
 
 
 def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
-    """Expand neighbour columns to ``size`` lanes per texel, (T * size,)."""
+    """Expand ``around`` of T texels to arrays (T * size,), with ``size`` lanes per texel."""
     if size == 1:
         return tuple(around)
     columns = []
@@ -149,14 +151,14 @@ class _TexelFrames:
         )
 
     def near(self, pairs: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return (P,) bool: pairs within REACH steps and on the same side of a sheet."""
+        """Return (P,) bool: True for pairs within REACH steps and without opposite normals."""
         first, second = pairs.T
         apart = _length(self.position[first] - self.position[second])
         longest = np.maximum(_length(step)[first], _length(step)[second])
         return (apart <= REACH * longest) & self.same_side(first, second)
 
     def same_side(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return whether texels are on the same side of a sheet, by their normals."""
+        """Return whether normals are not opposite, as on two sides of a thin sheet."""
         return (self.normal[first] * self.normal[second]).sum(axis=-1) > OPPOSITE
 
 
@@ -224,7 +226,7 @@ def _chart_borders(
 def _within_steps(
     count: int, pairs: np.ndarray, border: np.ndarray, start: np.ndarray, other: np.ndarray
 ) -> np.ndarray:
-    """Return whether ``other`` is within HOPS links inside the chart."""
+    """Return whether at most HOPS of the ``pairs`` connect ``start`` and ``other``."""
     first, second = pairs.T
     links = scipy.sparse.csr_array(
         (np.ones(2 * len(pairs), np.float32), (np.r_[first, second], np.r_[second, first])),
@@ -240,7 +242,7 @@ def _within_steps(
 
 
 def _limit_neighbors(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Return unique pairs, nearest first, at most ``room`` per texel."""
+    """Return unique pairs, nearest first; at most ``room[t]`` of them contain texel t."""
     pairs = pairs[np.argsort(distance, kind="stable")]
     pairs = pairs[np.sort(np.unique(pairs, axis=0, return_index=True)[1])]
     place = _place(pairs.T.ravel(), np.tile(np.arange(len(pairs)), 2)).reshape(2, -1)
@@ -248,7 +250,7 @@ def _limit_neighbors(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) 
 
 
 def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Return the rank of each entry among entries of the same owner."""
+    """Return the rank by ``order`` of each entry among entries of the same owner."""
     by_owner = np.lexsort((order, owner))
     ranked = owner[by_owner]
     first = np.searchsorted(ranked, ranked)
@@ -274,14 +276,14 @@ def texel_squares(texels: Texels) -> np.ndarray:
 
 
 def occupied_squares(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the G distinct squares (G, 2), and each texel's index (T,)."""
+    """Return the G distinct squares (G, 2), and the index of each texel's square (T,)."""
     width = int(squares[:, 1].max(initial=0)) + 1
     numbers, owner = np.unique(squares[:, 0] * width + squares[:, 1], return_inverse=True)
     return np.stack(np.divmod(numbers, width), axis=1), owner
 
 
 def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
-    """Return the neighbours of groups, as in ``Neighbors.around``."""
+    """Return ``Neighbors.around`` for groups; ``owner`` is each texel's group index."""
     count = int(owner.max()) + 1
     numbers = []
     for column in around:
@@ -295,11 +297,11 @@ def group_neighbors(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[An
 def group_means(
     values: np.ndarray, weights: np.ndarray, owner: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted group means of (N, T) values, and weights, (N, G)."""
+    """Return weighted means (N, G) of values (N, T) in G groups, and sums of weights (N, G)."""
     total = group_sums(weights, owner)
     return group_sums(weights * values, owner) / total, total
 
 
 def group_sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Sum values (N, T) over groups, (N, G), by each texel's group (T,)."""
+    """Return sums (N, G) of values (N, T) in groups; ``owner`` is each texel's group (T,)."""
     return np.stack([np.bincount(owner, row) for row in values])

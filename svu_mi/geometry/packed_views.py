@@ -33,19 +33,19 @@ GREY = 1e-6  # largest difference between the channels of a grey pixel, relative
 
 @dataclass(frozen=True, kw_only=True)
 class Views(Films):
-    """The V used views of a capture, and their ``Films``.
+    """The V used views of a capture with P pixels, as flat arrays for kernels.
 
     Attributes:
-        cameras: (V * 16,) Float: projection rows x, y, w (pixels of the crop window, times
-            depth), world position, near clip as a depth.
+        cameras: (V * 16,) Float; per view: rows x, y, w of the projection matrix (w is the depth;
+            x / w and y / w are pixels of the crop window), world position, depth of the near clip.
         pixels: (3 P,) Float, radiance, interleaved RGB; shares the capture's memory if possible.
             None without photographs.
         usable: (P,) Bool, True for interior pixels with valid radiance. None with an ``outline``.
         count, number: Number of views V, as opaque UInt32 and as int.
         grey: True if R = G = B in all usable pixels (relative tolerance 1e-6).
         clipped: Partly saturated pixels; None if no channel is saturated.
-        rounding: First step and slope of each channel (``Rounding``), two (3 V,) Float; 0 for
-            floating-point photographs. None if all are.
+        rounding: ``first`` and ``slope`` of each channel (see ``Rounding``), two (3 V,) Float; 0
+            for floating-point photographs. None if no photograph stores integers.
         outline: Silhouettes for lazy tests of interior pixels; None if ``usable`` is given.
     """
 
@@ -127,7 +127,7 @@ def pack_sensors(
     """Pack sensors without photographs; silhouette pixels are unusable.
 
     Films above ``largest`` pixels per side are scaled down, which makes silhouettes wider.
-    ``later=True`` tests silhouettes lazily, by ``Views.outline``.
+    ``later=True`` tests silhouettes only where kernels need them, by ``Views.outline``.
     """
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
@@ -148,7 +148,7 @@ class _Pixels:
 
     Attributes:
         coloured: (1,) UInt32, 1 if a usable pixel is not grey.
-        brightest, faintest: (1,) UInt32, bits of the largest and smallest positive usable radiance.
+        brightest, faintest: (1,) UInt32, float bits of the largest and smallest positive radiance.
         clipped: (P,) UInt8, see ``ClippedPixels``; None without saturated channels.
     """
 
@@ -197,7 +197,7 @@ class _Pixels:
         return ClippedPixels(self.clipped, to_drjit(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
-        """Mark hot pixels as unusable; return (view, number, largest / median)."""
+        """Mark hot pixels as unusable; return view, count, and largest / median radiance."""
         brightest, faintest = (
             bits.numpy().view(np.float32)[0] for bits in (self.brightest, self.faintest)
         )
@@ -261,7 +261,7 @@ class _Pose:
 
 
 def _views(scene: Any, poses: Sequence[_Pose], offset: np.ndarray) -> Views:
-    """Return views without pixels, given the index of each first pixel."""
+    """Return views without pixels; ``offset`` is the index of each view's first pixel."""
     sizes = np.array([pose.size for pose in poses], np.uint32).reshape(-1, 2)
     return Views(
         width=to_drjit(mi.UInt32, sizes[:, 0]),
@@ -312,7 +312,7 @@ def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
 
 
 def _buffer(capture: Capture, kept: Sequence[int]) -> tuple[PixelBuffer, list[int]]:
-    """Return the buffer of photographs (or a copy), and their indices."""
+    """Return a buffer with the ``kept`` photographs, and their indices in the buffer."""
     images = [capture.images[index] for index in kept]
     places = None if capture.buffer is None else capture.buffer.places(images)
     if capture.buffer is None or places is None:

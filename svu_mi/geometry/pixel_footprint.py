@@ -15,7 +15,7 @@ MOST_TAPS = 8  # look-ups per side of a texel
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
-    """Return a colour as a list; the mean if ``channels`` is 1."""
+    """Return the channels of a colour as a list; only their mean if ``channels`` is 1."""
     values = list(color)
     return values if len(values) == channels else [sum(values) / len(values)]
 
@@ -61,7 +61,7 @@ def read_camera(views: Views, view: Any) -> Camera:
 
 @dataclass(frozen=True)
 class Taps:
-    """Indices and bilinear weights of four pixels, and an on-film flag."""
+    """Indices and bilinear weights of four pixels, and whether all four are on the film."""
 
     pixels: list[Any]
     weights: list[Any]
@@ -69,7 +69,7 @@ class Taps:
 
 
 def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
-    """Return x, y (0 at a pixel centre), 1 / depth, and True if in front."""
+    """Return x, y in pixels from the first pixel's centre, 1 / depth, and True if in front."""
     point = mi.Vector4f(position.x, position.y, position.z, 1)
     depth = dr.dot(camera.w, point)
     in_front = depth > camera.near
@@ -80,7 +80,7 @@ def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def taps_at(camera: Camera, position: Any) -> Taps:
-    """Return the bilinear look-up of a surface point."""
+    """Return the four pixels around a projected surface point, and their weights."""
     x, y, _, in_front = _project(camera, position)
     return Taps(*_bilinear(camera, x, y), in_front & on_film(camera, x, y))
 
@@ -119,9 +119,9 @@ def mean_over_texel(
 ) -> tuple[Any, ...]:  # fmt: skip
     """Return mean radiance and grey variance of the pixels under a texel.
 
-    Unusable pixels are ignored; if all are unusable, the centre is read. A texel smaller than a
-    pixel needs one bilinear look-up. ``clipped`` uses saturated channels as lower bounds, and also
-    returns their fraction (Color3f).
+    Unusable pixels are ignored; if all are unusable, the pixels at the centre of the texel are
+    interpolated. A texel smaller than a pixel needs one bilinear look-up. ``clipped=True`` replaces
+    saturated channels by their lower bounds, and also returns their fraction (Color3f).
     """
     if views.pixels is None:
         return black(), mi.Float(0), *([black()] if clipped else [])
@@ -166,7 +166,7 @@ def mean_over_texel(
 def _cover(
     camera: Camera, position: Any, sides: tuple[Any, Any] | None
 ) -> tuple[Any, Any, list[Any], list[Any]]:
-    """Project a texel: centre x and y, two sides, and look-ups per side."""
+    """Project a texel; return centre x and y, both sides in pixels, look-ups per side."""
     x, y, scale, _ = _project(camera, position)
     spans = [(mi.Float(0), mi.Float(0))] * 2
     if sides is not None:
@@ -176,7 +176,7 @@ def _cover(
 
 
 def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any, Any]:
-    """Replace clipped channels by lower bounds; also return their mask."""
+    """Replace clipped channels by lower bounds; also return 1 for clipped ones, else 0."""
     assert views.clipped is not None and camera.least is not None
     bits = mi.UInt32(dr.gather(type(views.clipped.channels), views.clipped.channels, pixel))
     over = [(bits & (1 << c)) > 0 for c in range(3)]
@@ -188,7 +188,7 @@ def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any
 
 
 def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, Any]:
-    """Project a short vector at a point to first order: x and y in pixels."""
+    """Return the projection of a short vector at pixel (x, y), to first order, in pixels."""
     vector = mi.Vector4f(side.x, side.y, side.z, 0)
     depth = dr.dot(camera.w, vector)
     return (
@@ -198,7 +198,7 @@ def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, A
 
 
 def _bilinear(camera: Camera, x: Any, y: Any) -> tuple[list[Any], list[Any]]:
-    """Return the four pixels around a clamped film position, and weights."""
+    """Clamp (x, y) to the film; return the four pixels around it, and their weights."""
     x = dr.clip(x, 0, mi.Float(camera.width) - 1)
     y = dr.clip(y, 0, mi.Float(camera.height) - 1)
     left = dr.minimum(mi.UInt32(x), dr.maximum(camera.width, 2) - 2)

@@ -19,7 +19,7 @@ from svu_mi.errors import OptionError, ShapeError
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return last face (or -1) and number of faces per texel, (H * W,)."""
+    """Return, per texel, the last face that covers it (or -1), and their number: (H * W,)."""
     width, height = resolution
     if len(uvs) == 0:
         empty = np.zeros(width * height, np.int64)
@@ -65,7 +65,7 @@ def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
 
 
 def _edge(a: Any, b: Any, x: Any, y: Any) -> Any:
-    """Return twice the signed area of (a, b, point), antisymmetric in a, b."""
+    """Return twice the signed area of the triangle a, b, (x, y); antisymmetric in a and b."""
     swap = (b[0] < a[0]) | ((b[0] == a[0]) & (b[1] < a[1]))
     ax, ay = dr.select(swap, b[0], a[0]), dr.select(swap, b[1], a[1])
     bx, by = dr.select(swap, a[0], b[0]), dr.select(swap, a[1], b[1])
@@ -89,7 +89,7 @@ NARROW = 8  # texels; wider gutters are not cached, because they may fill most o
 
 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
-    """Return a copy of an image, dilated by ``texels`` into invalid texels."""
+    """Return a copy; invalid texels within ``texels`` of valid ones get the nearest value."""
     image, valid = np.asarray(image), np.asarray(valid, bool)
     if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:
         raise ShapeError(
@@ -110,13 +110,13 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
 
 @lru_cache(maxsize=2)  # one layout for maps, one for images
 def _of_mask(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``_gutter`` of a packed mask, cached."""
+    """Return ``_gutter`` of a mask, given as packed bits; cached."""
     bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=shape[0] * shape[1])
     return _gutter(bits.view(bool).reshape(shape), texels)
 
 
 def _gutter(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return indices of texels to fill, (G,), and of their sources, (G,)."""
+    """Return the indices (G,) of texels to fill, and of the nearest valid texels (G,)."""
     if not valid.any() or valid.all():  # distances are undefined without a valid texel
         return np.empty(0, np.intp), np.empty(0, np.intp)
     distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)

@@ -102,8 +102,9 @@ class ViewSample:
         cosine: Float, cosine between direction and shading normal; 0 if not visible.
         radiance: Color3f; 0 if not visible.
         contrast: Float, variance of the averaged pixels in squared radiance; 0 if not visible.
-        clipped: Visibility pass: Bool, visible only through saturated pixels. Gather pass:
-            Color3f, saturated fraction. None without saturated pixels or if not requested.
+        clipped: From ``sample_view``: Bool, True if a texel is visible only through saturated
+            pixels. From ``sample_visible``: Color3f, saturated fraction per channel. None without
+            saturated pixels or if not requested.
     """
 
     direction: Any
@@ -117,8 +118,9 @@ class ViewSample:
 def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = False) -> ViewSample:
     """Sample one view at each texel; test visibility by a ray.
 
-    A texel is visible if both normals face the camera, its pixels are usable, and no geometry
-    occludes it. Rays are traced only if the other tests pass, or in all lanes if ``dense``.
+    A texel is visible if its shading and geometric normals face the camera, its pixels are usable,
+    and no geometry occludes it. Rays are traced only if the other tests pass, or in all lanes if
+    ``dense``.
     """
     camera = read_camera(views, view)
     to_camera = camera.position - surface.position
@@ -170,7 +172,7 @@ def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = F
 
 
 def mirror_direction(normal: Any, direction: Any) -> Any:
-    """Reflect a unit direction to the camera at unit normals: Vector3f."""
+    """Return the mirror image (Vector3f) of a unit direction at a unit normal."""
     return mi.reflect(mi.Vector3f(direction), mi.Normal3f(normal))
 
 
@@ -183,7 +185,7 @@ def sample_visible(
     views: Views, surface: TexelLanes, view: Any, seen: Any, *, dense: bool = False,
     clipped: bool = False,
 ) -> ViewSample:  # fmt: skip
-    """Sample texels of known visibility; ``clipped`` includes saturated pixels."""
+    """Sample one view at the ``seen`` texels; ``clipped=True`` includes saturated pixels."""
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)

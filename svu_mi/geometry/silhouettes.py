@@ -53,7 +53,7 @@ class Outline:
     films: Films
 
     def encloses(self, scene: Any, view: Any, pixel: Any, active: Any) -> Any:
-        """Return whether 2 x 2 pixels are interior, by nine rays."""
+        """Return whether ``pixel`` and those to its right and below are interior (nine rays)."""
         films = self.films
         width = dr.gather(mi.UInt32, films.width, view)
         place = pixel - dr.gather(mi.UInt32, films.offset, view)
@@ -81,7 +81,7 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """Return tiles that may show the object, (N, 3): view, column, row."""
+    """Return tiles that may show the object: view, first column, first row; (N, 3)."""
     windows = _windows(projections, near, sizes, bounds)
     of_views = [
         _tiles_of(view, window, mask)
@@ -93,7 +93,7 @@ def find_tiles(
 def _windows(
     projections: np.ndarray, near: np.ndarray, sizes: np.ndarray, bounds: np.ndarray
 ) -> np.ndarray:
-    """Return first pixel and end of the projected box, (V, 2, 2) int64."""
+    """Return first pixel and end, each (x, y), of the projected box: (V, 2, 2) int64."""
     corners = np.stack(np.meshgrid(*bounds.T, [1.0], indexing="ij"), axis=-1).reshape(8, 4)
     points = np.einsum("vij,cj->vci", projections, corners)
     in_front = (points[..., 2] > near[:, None]).all(axis=1)
@@ -121,7 +121,7 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
-    """Yield pixel indices (UInt32, each once) and interior flags (Bool)."""
+    """Yield indices of pixels (UInt32), and True for interior pixels; each occurs once."""
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]
         table = to_drjit(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())
@@ -149,7 +149,7 @@ def _corner(lane: Any) -> tuple[Any, Any]:
 
 
 def _lane(lane: Any, column: Any, row: Any) -> Any:
-    """Return the lane of another corner in the same tile; inverse of ``_corner``."""
+    """Return the lane of the corner (column, row) in the tile of ``lane``."""
     high = TILE - 4
     first = lane - (lane & (TILE * TILE - 1))
     low_bits = (column & 3) | ((row & 3) << 2)
@@ -185,7 +185,7 @@ def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any)
 
 
 def _is_explained(depth: Any, reach: Any, slope: Any) -> Any:
-    """Return whether a depth difference is consistent with a slope."""
+    """Return whether a surface of this slope can cause a depth difference."""
     return depth <= reach * (0.5 + slope)
 
 

@@ -39,7 +39,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
 
 
 def principled_attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:
-    """Evaluate ``principled`` parameters by name: one Float per channel."""
+    """Return ``principled`` parameters at ``si`` by name, one Float per channel."""
     return {
         name: list(bsdf.eval_attribute(name, si, active)) if channels > 1
         else [bsdf.eval_attribute_1(name, si, active)]

@@ -35,7 +35,7 @@ class Texels:
         face: (T,) UInt32, index of the face under the texel.
         position: (T,) Point3f, world space, strictly inside the face.
         normal: (T,) Normal3f, unit shading normal.
-        geometric_normal: (T,) Normal3f, unit face normal, on the side of the shading normal.
+        geometric_normal: (T,) Normal3f, unit face normal, flipped to the shading normal's side.
         uv: (T,) Point2f, centre of the texel.
         footprint: (T,) Float, square root of the texel's area on the surface, in world units.
         sides: Two (T,) Vector3f, sides of the texel along u and v in world space.
@@ -207,7 +207,7 @@ def _step(source: MeshArrays) -> float:
 
 
 def size_of(resolution: Any) -> tuple[int, int]:
-    """Return (width, height) from one or two integers, also of NumPy types."""
+    """Return the (width, height) that one or two Python or NumPy integers specify."""
     try:
         sides = resolution if np.iterable(resolution) else (resolution, resolution)
         width, height = (operator.index(side) for side in sides)
@@ -234,7 +234,7 @@ def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
 
 
 def _mesh_error(words: str) -> MeshError:
-    """Return an error whose ``{}`` is replaced by the remedy, to compute new UVs."""
+    """Return an error; ``{}`` in its text is replaced by advice on computing new UVs."""
     return MeshError(
         words.replace("{}", "use load_capture(unwrap=True)"),
         shell=words.replace("{}", "use --unwrap"),
@@ -292,7 +292,7 @@ def _interpolated(
     source: MeshArrays, faces: tuple[np.ndarray, np.ndarray], index: np.ndarray, face: np.ndarray,
     resolution: tuple[int, int],
 ) -> Iterator[tuple[str, np.ndarray]]:  # fmt: skip
-    """Yield name and values (t, components) of interpolated attributes."""
+    """Yield the name of each attribute, and its values at t texel centres, (t, components)."""
     assert source.uvs is not None
     (width, height), (normals, areas) = resolution, faces
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)

@@ -1,4 +1,4 @@
-"""Texel-view visibility: one traced bit per pair."""
+"""Visibility of texels in views, by rays: one bit per texel and view."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Visibility:
         total: (T,) Float64, sum of grey (channel mean) radiance over these views.
         per_view: (V,) int64, number of visible texels in each view.
         bits: Visibility bits of V views and T texels.
-        order: (N,) UInt32, views that a pass loops over; an index into it is called slot.
-        dense: True processes all lanes, without skipping invisible pairs.
+        order: (N,) UInt32, views that passes loop over; a ``slot`` is an index into this array.
+        dense: True processes all pairs of texel and view, False only visible ones.
         clipped: Bits of texels visible only through saturated pixels; None without any.
     """
 
@@ -57,14 +57,17 @@ class Visibility:
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | int:
-        """Number of views with saturated pixels per texel, (T,) uint32, or 0."""
+        """Views that show a texel only by saturated pixels: counts (T,) uint32; 0 without any."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
     def sample(
         self, views: Views, surface: TexelLanes, slot: Any, *, clipped: bool = False,
         among: Bits | None = None,
     ) -> ViewSample:  # fmt: skip
-        """Sample the view ``order[slot]``; ``among`` replaces the visibility."""
+        """Sample the view ``order[slot]`` at its visible texels.
+
+        ``among`` contains bits by slot and lane to use instead of the visibility.
+        """
         view = dr.gather(mi.UInt32, self.order, slot)
         if among is not None:
             seen = among.test(slot, surface.lane)
@@ -84,7 +87,7 @@ class Visibility:
         self, views: Views, surface: TexelLanes, consume: Callable[..., Any],
         state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold ``consume(sample, slot, *state)`` over ``order``."""
+        """Fold ``consume(sample, slot, *state)`` over all slots of ``order``."""
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
             seen = self.sample(views, surface, slot, clipped=clipped, among=among)
@@ -94,7 +97,7 @@ class Visibility:
 
 
 def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
-    """Return the mean radiance of samples; clamp texels at 1000 medians."""
+    """Return the mean radiance of samples; limit texels to 1000 times their median."""
     samples, total = np.asarray(coverage, np.float64), np.asarray(total, np.float64)
     lit = total > 0
     if not lit.any():
@@ -108,7 +111,8 @@ def trace_visibility(
 ) -> Visibility:
     """Trace visibility of all texels in all views, and sum radiance.
 
-    ``skip_blind`` omits views without visible texels from later passes.
+    ``skip_blind`` omits views without visible texels from later passes, and ``skip_pairs`` omits
+    pairs of texel and view that are not visible.
     """
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
     clipped_per_view = dr.zeros(mi.UInt32, max(views.number, 1))
