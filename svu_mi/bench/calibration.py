@@ -3,14 +3,14 @@
 The preset ``default`` is compared with the true textures, averaged over each texel, for 1500
 visible texels (seed 0):
 
-* shares of 90 and 50 % sets of cells of the grid that contain the truth, where the last cell
-  counts in part; and shares of the intervals that ``interval`` returns;
+* shares of 90 and 50 % credible sets (cells of the grid, the last one in part) that contain the
+  truth; and shares of the 90 % intervals that contain it;
 * correlation of predicted errors (root of the summed variances) and true errors (root of the
   summed squared errors of all parameters); relative area under the sparsification error (0
   perfect, 1 random);
 * CRPS of every parameter from draws, relative to the CRPS with overdispersion 3; PSNR of means;
 * share of narrow 90 % intervals, at most .05 to either side, that contain the truth;
-* correlation of the entropy with path-traced texels of the same likelihood.
+* correlation of the entropy with path-traced entropy for the same likelihood.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ class CalibrationCase(CaseSubject):
 
     @cached_property
     def true_values(self) -> dict[str, np.ndarray]:
-        """True means over the compared texels, (t,) or (t, 3) by parameter."""
+        """Mean of the true texture over each compared texel, (t,) or (t, 3) by parameter."""
         return {name: values[self.chosen] for name, values in self._true_means().items()}
 
     def _true_means(self) -> dict[str, np.ndarray]:
-        """Return true means over all texels, (T,) or (T, 3) by parameter."""
+        """Return the mean of the true texture over each texel, (T,) or (T, 3) by parameter."""
         layout, width = self.layout, self.layout.resolution[0]
         fine = texels(self.capture.mesh, width * FINER)
         x, y = fine.index.numpy() % (width * FINER), fine.index.numpy() // (width * FINER)
@@ -90,13 +90,13 @@ class CalibrationCase(CaseSubject):
         return result
 
     def calibration(self, **switches: Any) -> Record:
-        """Return the scores of the preset ``default`` with some switches changed."""
+        """Return the scores of the preset ``default`` with ``switches`` replaced."""
         chosen = preset("default", method="angular", **switches)
         estimated = estimate(self.capture, self.layout, preset=chosen, method="angular")
         return posterior_figures(estimated.posterior, self.true_values, self.chosen)
 
     def traced(self) -> Record:
-        """Return the correlation of the entropy with path-traced texels."""
+        """Return the correlation of the entropy with path-traced entropy."""
         count, spp = (QUICK_TRACED, QUICK_SPP) if self.bench.quick else (TRACED, SPP)
         reference = reference_of(
             self.bench, self.capture, self.layout, subset=count, spp=spp, noise="estimated"

@@ -61,7 +61,7 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
 
 
 def scene_digests(case: Case) -> list[tuple[str, str]]:
-    """Return names and digests of all files of the scene's folder, of lights and of defines."""
+    """Return (name, digest) of each file in the scene's folder, in ``lights`` and in defines."""
     folders = (case.scene.parent, case.scene.parent.parent / "lights")
     files = sorted(path for folder in folders for path in folder.rglob("*"))
     given = map(Path, case.defines.values())
@@ -69,7 +69,7 @@ def scene_digests(case: Case) -> list[tuple[str, str]]:
 
 
 def even_views(capture: Capture, count: int) -> Capture:
-    """Return the capture with ``count`` of its views, at equal steps of their order."""
+    """Return the capture with ``count`` of its views, evenly spaced in their order."""
     return chosen_views(capture, evenly_spaced(capture.count, count))
 
 
@@ -89,7 +89,7 @@ class TrueTextures:
     """True textures: the material of the scene at every texel.
 
     Attributes:
-        grid: Texels, T of them.
+        grid: The T texels.
         values: Values (T, C) or (T,) by parameter.
     """
 
@@ -107,11 +107,11 @@ class TrueTextures:
         return cls(grid, {name: getattr(known, name) for name in NAMES})
 
     def psnr(self, textures: Textures, where: np.ndarray) -> dict[str, float]:
-        """Return the PSNR by parameter, and ``average``, of selected texels, (T,) bool."""
+        """Return the PSNR of texels ``where`` (T,) bool, by parameter and as ``average``."""
         return texture_psnr(*self._both(textures, where))
 
     def error(self, textures: Textures, where: np.ndarray) -> np.ndarray:
-        """Return the mean absolute error of each selected texel, (T,) bool."""
+        """Return the absolute error of texels ``where`` (T,) bool, mean over parameters."""
         return texel_error(*self._both(textures, where))
 
     def _both(self, textures: Textures, where: np.ndarray) -> list[dict[str, np.ndarray]]:
@@ -147,7 +147,7 @@ def uneven_views(capture: Capture, front: int, back: int) -> Capture:
     Args:
         capture: Views all around the object.
         front: Number of views with the smallest angle to the front direction.
-        back: Number of other views, at equal steps of the order of that angle.
+        back: Number of other views, evenly spaced in the order of their angles.
 
     Raises:
         OptionError: The capture has fewer than ``front`` + ``back`` views.

@@ -39,7 +39,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Folder of the case's files."""
+        """Name of the folder of the case's files."""
         return f"{self.object}__{self.light}"
 
     @property
@@ -76,7 +76,7 @@ def own_cases(
     Args:
         objects: Names in ``svu_mi.scenes.names()``; vase, knot and spheres by default.
         lights: Names in ``svu_mi.scenes.LIGHTS``; all by default.
-        quick: Vase and knot under window and overcast by default.
+        quick: Use only vase and knot under window and overcast by default.
 
     Raises:
         OptionError: Unknown name.

@@ -51,7 +51,7 @@ class Subject(Protocol):
         """Measurements, an ``ExperimentRow`` each."""
 
     def settings(self, row: Any | None) -> Any:
-        """Return the inputs of a row (None: of ``head``) as JSON; a part of its cache key."""
+        """Return the inputs of a row (None: of ``head``) as JSON, for its cache key."""
 
     def head(self) -> Record:
         """Measure the entries that all rows share."""
@@ -100,7 +100,7 @@ class BenchRun:
     def recall(
         self, store: Store, name: str, title: str, settings: Any, measure: Callable[[], Record]
     ) -> Record | None:
-        """Return a finished record, or measure it; None if ``stored`` and missing.
+        """Return the cached record, or measure it; with ``stored``, None if missing.
 
         Args:
             store: Cache of the record.
@@ -121,7 +121,7 @@ class BenchRun:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A row that calls a function of the subject.
+    """Row that calls a function with the subject.
 
     Attributes:
         label: Name of the row.
@@ -264,7 +264,7 @@ class Failures:
 
     @contextmanager
     def skip(self, title: str, *, whole: bool = False) -> Iterator[None]:
-        """Record an error of the block and warn; re-raise it if ``whole``."""
+        """Record an error in the ``with`` block and warn; raise it again if ``whole``."""
         try:
             yield
         except SvuError as error:

@@ -43,7 +43,7 @@ TEXELS, QUICK_TEXELS = 160, 64  # per side
 
 @dataclass(frozen=True)
 class EstimatedLightCase(CaseSubject):
-    """An object whose light is given, and estimated."""
+    """Object whose textures are estimated under the given and the estimated light."""
 
     rows = (Measurement("found", lambda self: self.compared()),)
 
@@ -200,7 +200,7 @@ def bars(record: Record) -> list[Bar]:
 
 
 def experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    """Return the experiment: every case under both lights."""
+    """Return the experiment: every case under the given and the estimated light."""
     return Experiment("light", (EstimatedLightCase(bench, case) for case in selection.cases), True)
 
 

@@ -1,4 +1,4 @@
-"""``svu bench paths``: agreement with path tracing for indirect light and other noise."""
+"""``svu bench paths``: agreement with path tracing under indirect light and other noise models."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class PathsCase(CaseSubject):
-    """A case, photographed with direct light and with all light.
+    """A case, photographed once with direct light and once with direct and indirect light.
 
     Attributes:
         rows: Estimators.
@@ -51,7 +51,7 @@ class PathsCase(CaseSubject):
         return super().settings(row), self.texels, self.samples, how
 
     def head(self) -> Record:
-        """Return ``cell``, ``texels``, and the correlation of both ``references``."""
+        """Return ``cell``, number of ``texels``, and correlation between ``references``."""
         one, other = self.references["photographs"], self.references["both"]
         kept = one.posterior.observed & other.posterior.observed
         rho = pearson(one.entropy[kept], other.entropy[kept])
@@ -70,7 +70,7 @@ class PathsCase(CaseSubject):
 
     @cached_property
     def captures(self) -> tuple[Capture, Capture]:
-        """Photographs with direct light, and with all light."""
+        """Captures with direct light, and with direct and indirect light."""
         lit = replace(self.case, defines={**self.case.defines, "max_depth": str(PHOTOGRAPHS)})
         return self.bench.capture(self.case), self.bench.capture(lit, "capture_all_light")
 

@@ -17,11 +17,11 @@ class RecoverySizes:
         relit_views: Number of pictures under another light, per case.
         relit_spp: Samples per pixel of relit pictures.
         even_views: Largest number of photographs.
-        poor: Largest number of views of a hardly seen texel.
+        poor: Largest number of views for which a texel counts as hardly seen.
         warm: Compile kernels before a row is timed.
         repeats: Number of timed runs of a short row; the median is used.
         long_s: Run time in seconds above which a row is timed once.
-        scale: Factor of the default epochs of the path tracer and steps of the descent.
+        scale: Factor of the default numbers of path tracing epochs and descent steps.
     """
 
     rows: tuple[str, ...] = ()
@@ -49,10 +49,10 @@ class GuidanceSizes:
             ``one-sided``, the views nearest to it.
         start: Number of photographs of an initial set.
         asked: Number of candidates whose expected and measured changes are compared.
-        marks: Numbers of added views at which textures are recovered.
+        marks: Numbers of added views after which textures are recovered.
         strategies: Names of the compared strategies.
         judged: Strategies that are compared with all others.
-        step: Gain over the initial set in dB up to which views are counted.
+        step: Gain over the initial set in dB; the views needed for it are counted.
     """
 
     lights: int = 2

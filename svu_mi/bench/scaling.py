@@ -35,7 +35,7 @@ class ScalingSizes:
 
     Attributes:
         resolutions: Texels per side, with all views of the capture.
-        views: Numbers of views; the views of the capture are repeated.
+        views: Numbers of views; views are used several times if the capture has fewer.
         resolution: Texels per side of the curves over views.
         photographs: Number of views, and pixels per side, of the capture.
         repeats: Warm runs of each point.
@@ -74,11 +74,11 @@ class ScalingCase(CaseSubject):
                 "resolution": self.sizes.resolution}  # fmt: skip
 
     def curve(self, method: Any, what: str) -> Record:
-        """Return a curve.
+        """Measure run time and memory by number of texels or views.
 
         Returns:
-            ``method``; ``what``, the variable; ``points`` with ``n``, ``seconds`` (a spread) and
-            ``allocated_mib``; the fitted ``line`` (see ``line``).
+            ``method``; ``what``, ``texels`` or ``views``; ``points`` with ``n``, ``seconds`` (a
+            spread) and ``allocated_mib``; the fitted ``line`` (see ``line``).
         """
         views, film = self.sizes.photographs
         capture = self.bench.capture(self.case, "scaling", views=views, film=film, spp=8)
@@ -104,7 +104,7 @@ def _curves(record: Record) -> list[Record]:
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return the bars: each curve grows at most linearly, and is linear."""
+    """Return the bars: limits of the exponent of growth and of R^2 of each curve."""
     bars = []
     for curve in _curves(record):
         name, fit = f"{curve['method']}, seconds by {curve['what']}", curve["line"]
@@ -116,7 +116,7 @@ def find_bars(record: Record) -> list[Bar]:
 
 
 def repeated(capture: Capture, count: int) -> Capture:
-    """Return a capture of ``count`` views, at equal steps of the given ones or repeated."""
+    """Return a capture of ``count`` views: evenly spaced ones, or all of them repeatedly."""
     chosen = np.arange(count) % capture.count
     if count < capture.count:
         chosen = np.linspace(0, capture.count - 1, count).round().astype(int)
@@ -145,7 +145,7 @@ def line(n: Sequence[float], seconds: Sequence[float]) -> dict[str, float]:
 def _measured(
     sizes: Sequence[tuple[int, Capture, Texels]], method: Any, repeats: int
 ) -> dict[str, Any]:
-    """Return the curve of all sizes, run in turns after a first run for kernels and memory."""
+    """Time all sizes in turns, after runs for kernels and memory; return the curve."""
 
     def function(size: tuple[int, Capture, Texels]) -> Callable[[], Any]:
         return lambda: estimate(*size[1:], method).entropy

@@ -39,7 +39,7 @@ class Selection:
         data: Folder with data; None for the scenes of svu_mi.
         objects: Names of objects or captures in ``data`` (Stanford-ORB).
         capture: Folder or scene of a real capture (``real``).
-        every: Distance between held-out photographs of that capture.
+        every: Every n-th photograph of that capture is held out.
         environment_view: Test photograph whose environment map is the light (Stanford-ORB).
     """
 
@@ -66,14 +66,14 @@ class Study:
         title: Title of the tables.
         experiment: Returns the experiment of a run.
         tables: Returns the Markdown of a record.
-        summary: Returns a record with entries that follow from its cases.
+        summary: Returns the record with entries computed from its cases.
         bars: Returns the bars of a record.
         note: Description of how the bars are measured.
         plots: Plots by file name. Each takes the records of all benchmarks by name, and returns
             None without results.
         lines: Returns the main results, for the terminal.
         files: Writers of additional files by name; each takes a path and the record.
-        runs_on: Objects under lights, a real capture, or a data set with another layout.
+        runs_on: Input: objects under lights, a real capture, or a data set with another layout.
         own_sizes: True if its photographs have sizes that ``ProblemSizes`` does not contain.
     """
 
@@ -220,7 +220,7 @@ def run_bench(
 
 
 def _provenance_of(bench: BenchRun, name: str, command: str) -> Record:
-    """Return the provenance of a study; stored results keep the one in their file."""
+    """Return the provenance of a study; for stored results, it is read from their file."""
     new, path = provenance_record(command), bench.folder / f"{name}.json"
     if not (bench.stored and path.is_file()):
         return new
@@ -253,7 +253,7 @@ FOLDERS = re.compile(r"(?<![\w./])/(?:[^/\s'\":;,]+/)*(?=[^/\s])")  # of absolut
 
 
 def without_folders(value: Any) -> Any:
-    """Return a record in whose texts absolute paths are replaced by the names of the files."""
+    """Return the record with absolute paths in its texts replaced by file names."""
     if isinstance(value, str):
         return FOLDERS.sub("", value)
     if isinstance(value, list):
@@ -271,7 +271,7 @@ def draw(bench: BenchRun, records: dict[str, Record]) -> None:
 
 
 def figures(records: dict[str, Record]) -> Iterator[tuple[str, Figure]]:
-    """Yield the plots of all studies with results, by file name; some combine several studies."""
+    """Yield (file name, plot) of all studies with results; some plots combine several studies."""
     finished = {name: record for name, record in records.items() if record["cells"]}
     for name in finished:
         for file, plot in study_of(name).plots.items():

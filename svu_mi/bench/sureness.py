@@ -1,8 +1,8 @@
 """``svu bench sureness``: coverage of the intervals of textures and pictures.
 
-Measured are intervals of textures recovered by SH; of textures with a shared prior and photographs
-mostly from one side; of filled textures, where no photograph shows a third of the surface; and, for
-some cases, of pictures under two lights that were not used for recovery.
+Intervals are compared with the truth for textures recovered by SH; for a shared prior, with
+photographs mostly from one side; for filled textures, with a third of the surface hidden; and, in
+some cases, for pictures under two lights that were not used for recovery.
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ class SurenessCase(CaseSubject):
         """Return scores of a filled third of the surface.
 
         Returns:
-            ``hidden``, its share of the texels; ``held``, coverage of intervals by parameter;
-            ``repeats``; ``likeness``, main predictor by parameter; ``psnr_before`` and ``psnr``,
-            average PSNR (dB) before and after.
+            ``hidden``, fraction of filled texels; ``held``, coverage of intervals by parameter;
+            ``repeats``, True if the object is in ``REPEATING``; ``likeness``, main predictor by
+            parameter; ``psnr_before`` and ``psnr``, average PSNR (dB) before and after filling.
         """
         layout, truth = self.layout, self.truth
         recovery, field = _recovered(_hiding(self.capture, layout), layout)
@@ -165,8 +165,8 @@ def _recovered(
 
 
 def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextures) -> Record:
-    """Return ``held``, the part of texels whose interval holds the truth, by parameter, and
-    ``spearman`` of standard deviations and errors of all values together."""
+    """Return ``held``, the fraction of texels whose interval contains the truth, by parameter, and
+    ``spearman``, the rank correlation of standard deviation and error over all parameters."""
     seen = recovery.coverage > 0
     shares, sds, errors = {}, [], []
     for name in NAMES:
@@ -192,8 +192,9 @@ def pixel_coverage(views: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
     """Compare relit pictures with the truth, over pixels of the object.
 
     Returns:
-        ``held``, share of channels within 1.64 standard deviations; ``spearman`` of standard
-        deviation and error; ``psnr_gain`` of the mean of draws over the picture.
+        ``held``, fraction of values whose error is within 1.64 standard deviations; ``spearman``
+        of standard deviation and error; ``psnr_gain``, PSNR of the mean of draws minus PSNR of
+        the picture with recovered textures.
     """
     sds, errors, inside = [], [], []
     squares = np.zeros(2)
@@ -315,7 +316,7 @@ def _mean(values: Collection[float]) -> float | None:
 
 
 def _figure(*path: str) -> Callable[[tuple[str, Any]], Any]:
-    """Return a function that returns an entry of a line by its path of names, or None."""
+    """Return a function that returns the entry at nested keys ``path`` of a line, or None."""
     return lambda line: reduce(lambda record, name: record and record.get(name), path, line[1])
 
 
@@ -330,7 +331,7 @@ def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
 
 
 def _others(case: Case, data: Path | None, workspace: Path) -> list[Case]:
-    """Return the same object under the next lights."""
+    """Return the same object under the lights that follow in the list."""
     around = chosen_cases(data, workspace, [case.object])
     first = [one.light for one in around].index(case.light)
     return [around[(first + k) % len(around)] for k in range(1, min(LIGHTS, len(around) - 1) + 1)]

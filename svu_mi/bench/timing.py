@@ -53,7 +53,7 @@ def time_once(function: Callable[[], Any]) -> Timed:
 
 
 def time_warm(function: Callable[[], Any], repeats: int = 1, long_s: float = math.inf) -> Timed:
-    """Time a function with compiled kernels; a first run that compiles some is discarded.
+    """Time a function with compiled kernels; a first run that compiles kernels is discarded.
 
     Args:
         function: Returns a result with ``timings``.
@@ -86,7 +86,7 @@ class KernelRun:
     Attributes:
         wall: Wall-clock seconds, including tracing in Python.
         kernel: Seconds in kernels.
-        compile: Seconds of the backend for kernels that were not cached.
+        compile: Seconds of compilation of kernels that were not cached.
         compiled: Number of compiled kernels.
         launched: Number of launched kernels.
         operations: Number of operations of all traced kernels.

@@ -46,10 +46,10 @@ def reference_of(bench: BenchRun, capture: Capture, layout: Texels, **changes: A
 
 @dataclass(frozen=True)
 class AccuracyCase(CaseSubject):
-    """A case whose estimators are compared with the reference and with the truth.
+    """Case whose estimators are compared with a path-traced reference and the true parameters.
 
     Attributes:
-        rows: Estimators.
+        rows: Estimators to compare.
     """
 
     rows: Sequence[Variant]
@@ -59,7 +59,7 @@ class AccuracyCase(CaseSubject):
         return super().settings(row), how
 
     def head(self) -> Record:
-        """Return results of the reference, and its agreement with two simple maps.
+        """Return scores of the reference, and its correlation with two simple maps.
 
         Returns:
             ``object``, ``light``, ``texels``, and the entries of ``CaseReference.figures``.
@@ -99,7 +99,7 @@ class CaseReference:
 
     @classmethod
     def of(cls, reference: Any, capture: Capture, grid: Texels) -> CaseReference:
-        """Return the reference without unseen texels, where all estimators agree."""
+        """Return the reference without unseen texels, where every entropy is 1."""
         seen = np.array(reference.coverage) > 0
         return cls(
             reference=reference,
@@ -109,7 +109,7 @@ class CaseReference:
         )
 
     def figures(self) -> dict[str, Any]:
-        """Return ``reference`` (scores) and ``sanity`` (agreement with two simple maps)."""
+        """Return ``reference`` (scores) and ``sanity`` (correlation with two simple maps)."""
         reference = self.reference
         seen = np.array(reference.coverage) > 0
         maps = {
@@ -136,7 +136,7 @@ class CaseReference:
         }
 
     def score(self, timed: Timed) -> dict[str, Any]:
-        """Return agreement, times and scores of an estimate."""
+        """Return correlation with the reference, run times and scores of an estimate."""
         result = timed.result
         everywhere = np.array(result.entropy, np.float64)
         entropy = everywhere[self.kept]
@@ -153,10 +153,10 @@ class CaseReference:
 
 
 def _overlap(halves: Any, seen: np.ndarray) -> float:
-    """Return the common probability mass of two posteriors, mean over texels, in [0, 1].
+    """Return the common probability mass of the posteriors from two halves of the reference.
 
-    It is low if noise makes both halves of the reference certain of different parameters. The
-    correlation of their entropies does not detect this.
+    The result is the mean over texels, in [0, 1]. It is low if noise makes the halves certain of
+    different parameters, which the correlation of their entropies does not detect.
     """
     p, q = (np.array(half.probabilities, np.float64)[seen] for half in halves)
     return float(np.minimum(p, q).reshape(len(p), -1).sum(axis=1).mean())
@@ -193,9 +193,9 @@ def score_posterior(
         texels: Indices (n,) of the texels of the posterior.
 
     Returns:
-        ``credible`` by level; ``parameters`` by name, with bias, mae and rmse of the estimate,
-        ``entropy_correlation`` of absolute error and entropy, and ``ause``; ``ause`` and
-        ``ause_relative``, means over parameters; ``sparsification``, curves by parameter.
+        ``credible``: coverage of credible sets, by their mass. ``parameters``: by name, bias, mae
+        and rmse of the estimate, ``entropy_correlation`` of absolute error and entropy, and ause.
+        ``ause``, ``ause_relative``: means over parameters. ``sparsification``: curves by parameter.
 
     Raises:
         ShapeError: The probabilities do not fit the axes.

@@ -93,7 +93,7 @@ def accuracy_tables(record: Record) -> list[str]:
 
 
 def agreement_lines(record: Record) -> list[str]:
-    """Return a line per map with its correlation with the reference."""
+    """Return one line of text per map: its correlation with the reference."""
     return [f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
             for row in record["summary"] if row["pearson"] is not None]  # fmt: skip
 
@@ -134,7 +134,7 @@ AVERAGED = ("mean_entropy", "seconds", "ause", "ause_relative", "credible", "par
 
 
 def summarize(cases: Sequence[Record]) -> list[Record]:
-    """Return a row per map: estimators, simple maps, and the reference.
+    """Return a row for each estimator, each simple map, and the reference.
 
     Means are over cases, intervals over objects (``mean_over_objects``).
 
@@ -203,7 +203,7 @@ def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
 
 
 def time_error(records: Record) -> Figure:
-    """Plot the error 1 - rho over the run time for all texels, mean over cases."""
+    """Plot the error (1 - Pearson correlation) over the run time for all texels."""
     record = records["accuracy"]
     rows, figure = record["summary"], page(9, 5.4)
     axes = figure.add_subplot()
@@ -238,7 +238,7 @@ def time_error(records: Record) -> Figure:
 
 
 def _reference_points(axes: Axes, records: Record) -> list[float]:
-    """Plot the reference by number of samples, and brute force over psi; return their times.
+    """Plot the reference by number of samples, and brute force; return their times in seconds.
 
     Times are extrapolated from the texels of the reference to all texels.
     """

@@ -40,7 +40,7 @@ class ViewSelectionCase(CaseSubject):
     """A case with photographs of all candidates, among which strategies choose.
 
     Attributes:
-        number: Number of the initial set of views, which determines its random views.
+        number: Index of the initial set of views; part of the random seed.
         kind: Kind of the initial set, see ``GuidanceSizes``.
     """
 
@@ -85,7 +85,7 @@ class ViewSelectionCase(CaseSubject):
         }  # fmt: skip
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return the ``order`` of added views, and lists of scores at each mark."""
+        """Return the ``order`` of added views, and scores after 0 and ``marks`` views."""
         order = self.order(row.label)
         marks = self.sizes.marks
         points = [self.first, *(self.score(self.start + order[:mark]) for mark in marks)]
@@ -108,7 +108,7 @@ class ViewSelectionCase(CaseSubject):
 
     @cached_property
     def start(self) -> list[int]:
-        """Initial views: a random one, and farthest-point samples or its nearest neighbours."""
+        """Indices of initial views: a random one, then farthest-point samples or nearest views."""
         rng = np.random.default_rng(self.seed)
         first = int(rng.integers(self.capture.count))
         if self.kind == "even":
@@ -146,8 +146,8 @@ class ViewSelectionCase(CaseSubject):
         """Return scores over all texels that any view shows.
 
         Returns:
-            ``psnr`` of recovered textures by parameter, and ``average``; ``entropy``, the mean,
-            in which texels without a photograph count as 1.
+            ``psnr`` of recovered textures by parameter, and ``average``; mean ``entropy``, where
+            texels that ``views`` do not show count as 1.
         """
         taken = chosen_views(self.capture, views)
         textures = recover(taken, self.layout, "sh").textures
@@ -161,8 +161,8 @@ class ViewSelectionCase(CaseSubject):
         """Compare expected and measured changes of the mean entropy.
 
         Returns:
-            Per candidate ``gains``, the expected decrease, and ``changes``, the decrease with the
-            photograph of the candidate; and their ``correlation``.
+            ``gains``: expected decrease for each candidate; ``changes``: decrease if the photograph
+            of the candidate is added; ``correlation`` of both.
         """
         left = [view for view in range(self.capture.count) if view not in self.start]
         tried = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]

@@ -81,7 +81,7 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
     Returns:
         Per pair: ``strategy``, ``other``, ``difference`` of mean gains, ``p`` of a paired t-test
         (two-sided, not corrected for the number of pairs), number of ``objects``, and number of
-        objects for which the first is ``better``.
+        objects for which ``strategy`` is ``better``.
     """
     sign = -1.0 if name == "entropy" else 1.0
     gains = {
@@ -105,7 +105,7 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
 def views_ratio(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
     """Return the ratio of the views that two strategies need, ``other`` over ``first``.
 
-    It is a lower bound if the other curve stays below the step, and NaN if the first does.
+    The ratio is a lower bound if ``other`` never gains ``step``, and NaN if ``first`` does not.
     """
     needed, others = (
         views_needed(sizes.marks, mean_curve(runs, s), sizes.step) for s in (first, other)
@@ -175,7 +175,7 @@ def guidance_tables(record: Record) -> list[str]:
 
 
 def _cases(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
-    """Return the mean gain of PSNR of every case, mean over its initial sets."""
+    """Return a table with each case's mean gain of PSNR, averaged over its initial sets."""
     rows = []
     for case in dict.fromkeys(run["cell"] for run in runs):
         own = [run for run in runs if run["cell"] == case]
@@ -205,7 +205,7 @@ def draw_guidance(records: Record) -> Figure:
 
 
 def _curves(axes: Axes, runs: list[Record], sizes: GuidanceSizes, name: str, label: str) -> None:
-    """Plot the mean over objects, with its standard error as a band."""
+    """Plot the mean curves over objects, with standard errors as bands."""
     places = [0, *sizes.marks]
     for k, strategy in enumerate(sizes.strategies):
         color, mark = COLORS[k % len(COLORS)], MARKS[k % len(MARKS)]

@@ -1,8 +1,8 @@
 """``svu bench orb``: Stanford-ORB, by the rules of the data set.
 
 Textures are recovered from every capture, and rendered pictures are compared with photographs.
-``orb_targets`` contains these photographs, ``orb_metrics`` the rules; ``dataset`` renders a small
-data set of svu_mi's scenes in the same layout.
+``orb_targets`` reads these photographs, ``orb_metrics`` implements the rules, and ``dataset``
+renders a small data set of svu_mi's scenes in the same layout.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PLACE = "orb"  # folder of finished results
 
 @dataclass(frozen=True)
 class OrbRow(RecoveryMethod):
-    """A recovery method for real photographs, with all bounces of the scene."""
+    """Recovery method for real photographs: path tracing includes indirect light."""
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
         """Return the options of the presets (see ``RecoveryMethod``)."""

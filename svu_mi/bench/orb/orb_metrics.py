@@ -1,16 +1,17 @@
 """Image errors by the rules of Stanford-ORB.
 
 Kuang et al., Stanford-ORB: A Real-World 3D Object Inverse Rendering Benchmark (NeurIPS 2023),
-Sec. 4.2. Open choices follow their program (orb/utils/test.py, evaluation.py):
+Sec. 4.2. Details that it does not specify follow the authors' code (orb/utils/test.py,
+evaluation.py):
 
-* The mask is eroded by 5 x 5 pixels. Outside, both pictures are black and included.
+* The mask is eroded by 5 x 5 pixels. Pixels outside are set to black, and are included.
 * Relighting: each channel of the picture is scaled to the photograph by least squares over the
   mask, because the scale of a reflectance is unknown. New views: no scale.
 * PSNR-H: radiance, clipped at 4, after one gain for both pictures that maps the mean of the
   photograph to the mean of its tone-mapped version. PSNR-L: clipped at 1, then sRGB. The peak is
-  1. The least PSNR is the PSNR of a uniform grey of 0.5.
+  1. PSNR is at least the PSNR of a uniform grey of 0.5.
 * SSIM: tone-mapped pictures, windows of 3 x 3 pixels.
-* LPIPS: VGG-16, tone-mapped pictures with sRGB applied once more, as in their program.
+* LPIPS: VGG-16, tone-mapped pictures with sRGB applied once more, as in the authors' code.
 """
 
 from __future__ import annotations
@@ -157,7 +158,7 @@ def lpips(picture: np.ndarray, truth: np.ndarray) -> float | None:
 
 @cache
 def _network() -> Any:
-    """Return the network, loaded once; None without package, None and a warning without weights."""
+    """Return VGG-16, loaded once; None without the package, or, with a warning, without weights."""
     try:
         from lpips import LPIPS
     except ImportError:

@@ -33,9 +33,9 @@ class OrbPhotograph:
         image: Linear radiance, (H, W, 3).
         mask: Coverage by the object in [0, 1], (H, W).
         to_world: Matrix from Mitsuba's camera space to the world of the capture, (4, 4).
-        environment: Radiance in the frame of the camera, (h, w, 3), of test photographs. The
-            layout is Mitsuba's envmap with rows that start half a row away from the poles.
-        albedo: Linear base colour, (H, W, 3), of test photographs.
+        environment: Environment map of a test photograph in the frame of its camera, (h, w, 3).
+            Layout of Mitsuba's envmap, but the first row is half a row away from the pole.
+        albedo: Linear base colour of a test photograph, (H, W, 3).
     """
 
     image: np.ndarray
@@ -92,7 +92,7 @@ def write_orb(root: str | Path, mesh: MeshArrays, captures: Sequence[OrbCapture]
 
 
 def _names(capture: OrbCapture) -> dict[str, list[tuple[str, OrbPhotograph]]]:
-    """Return numbered photographs by split; numbers of test photographs follow the others."""
+    """Return (file name, photograph) by split; files of ``train`` are numbered first."""
     numbered = enumerate([*capture.train, *capture.test])
     shots = [(f"{number:04d}", photograph) for number, photograph in numbered]
     return {"train": shots[: len(capture.train)], "test": shots[len(capture.train) :]}

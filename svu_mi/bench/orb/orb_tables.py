@@ -53,7 +53,7 @@ def orb_tables(record: Record) -> list[str]:
 
 
 def orb_lines(record: Record) -> list[str]:
-    """Return a line with the relighting scores of each recovery method."""
+    """Return one line of text per recovery method: its relighting scores."""
     captures = record["cells"]
     labels = dict.fromkeys(label for capture in captures for label, _ in _rows(capture))
     lines = []
@@ -168,7 +168,7 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
     Args:
         path: PNG file.
         label: Label of the recovery method.
-        shown: Title, target, picture (H, W, 3), scores, and True for scaled channels, per row.
+        shown: Per row: title, target, picture (H, W, 3), scores, and True if channels are scaled.
 
     Raises:
         OutputError: The file cannot be written.

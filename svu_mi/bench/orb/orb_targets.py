@@ -96,7 +96,7 @@ def score_pictures(
         scaled: Fit a scale per channel (see ``orb_error``).
 
     Returns:
-        ``mean`` of each of ``FIGURES`` (None if one is unavailable), and ``single`` errors.
+        ``mean`` of each score (None if not available), and ``single`` errors per photograph.
     """
     return _gathered(targets, [
         orb_error(picture, target.photograph, target.mask, scaled=scaled)

@@ -1,4 +1,4 @@
-"""Fig. 9 of the paper: views added to ten, by expected entropy or farthest-point sampling.
+"""Fig. 9 of the paper: views added to ten initial ones, by entropy or farthest-point sampling.
 
 100 photographs of 96 x 96 on a sphere with 16 samples, direct light, 96 x 96 texels. Ten are chosen
 by farthest-point sampling from the first. The other 90 are candidates, which are added in turn:
@@ -11,8 +11,8 @@ The first two estimate again from the photograph of each added view. After three
 textures are recovered with the SH model of the paper and with ours. PSNR (mean over parameters, as
 in Table 2) and entropy are computed over all texels that any view shows. Texels without a
 photograph have entropy 1. Tables contain means over cases and the interpolated number of added
-views for +1 dB of the mean curve. A two-sided Wilcoxon signed-rank test compares the gains over
-farthest-point sampling, mean over the added views, of all cases.
+views after which the mean curve has gained 1 dB. A two-sided Wilcoxon signed-rank test compares the
+gains over farthest-point sampling, mean over the added views, of all cases.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Figure9(CaseSubject):
         return self.score(self.start)
 
     def measure(self, row: StrategyRow) -> Record:
-        """Return ``views`` of a strategy, ``points`` of its curve, and ``seconds_per_view``."""
+        """Return chosen ``views``, scores (``points``) and ``seconds_per_view`` of a strategy."""
         views, seconds = self.order(row.label)
         points = [self.first, *(self.score(views[: START + added]) for added in ADDED)]
         return {"views": views, "seconds_per_view": seconds, "points": points}
@@ -143,7 +143,7 @@ class Figure9(CaseSubject):
 
 
 def curves(cases: Sequence[Record], strategy: str, what: str, way: str) -> np.ndarray:
-    """Return PSNR (dB) or entropy (cases, 1 + marks) of the initial views and at each mark."""
+    """Return PSNR (dB) or entropy after 0 and ``ADDED`` views, (cases, 1 + marks)."""
     points = [case["rows"][strategy]["points"] for case in cases]
     return np.array([[point[what][way] for point in of_case] for of_case in points])
 
@@ -171,7 +171,7 @@ def figure9_tables(cases: list[Record]) -> list[str]:
 
 
 def _curve_table(cases: Sequence[Record], way: str) -> str:
-    """Return mean gains of PSNR by strategy, and the number of views for a gain."""
+    """Return a table of mean PSNR gains by strategy, and of views needed for a gain."""
     mean = {s: increases(cases, s, "psnr", way).mean(axis=0) for s in STRATEGIES}
     last = float(mean[FARTHEST][-1])
     rows = [
@@ -202,7 +202,7 @@ def _entropy_table(cases: Sequence[Record]) -> str:
 
 
 def _paired_table(cases: Sequence[Record]) -> str:
-    """Return differences of the strategies to farthest-point sampling, with p-values."""
+    """Return a table of differences from farthest-point sampling, with p-values."""
     rows = []
     for what, unit, sign in (("psnr", " dB", 1), ("entropy", "", -1)):
         for way, title in RECOVERIES.items():
@@ -220,7 +220,7 @@ def _paired_table(cases: Sequence[Record]) -> str:
 
 
 def _case_table(cases: Sequence[Record]) -> str:
-    """Return the gain of every case with all photographs, by recovery method and strategy."""
+    """Return a table of PSNR gains after all added views, by case, method and strategy."""
     both = [(way, s) for way in RECOVERIES for s in STRATEGIES]
     rows = [
         [case["cell"], *(f"{increases([case], s, 'psnr', way)[0, -1]:+.2f}" for way, s in both)]

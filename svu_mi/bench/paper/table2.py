@@ -46,7 +46,7 @@ class Table2(CaseSubject):
 
     @property
     def rows(self) -> Sequence[RecoveryMethod]:
-        """All recovery methods; for quick sizes without path tracing."""
+        """All recovery methods; for quick sizes, only methods without path tracing."""
         return [row for row in ROWS if not (row.traced and self.bench.quick)]
 
     def settings(self, row: RecoveryMethod | None) -> Any:
@@ -69,7 +69,7 @@ class Table2(CaseSubject):
 
     @cached_property
     def entropy(self) -> dict[str, np.ndarray]:
-        """Entropy of all texels by ``paper`` (spectra) and ``ours``; visible texels, ``seen``."""
+        """Entropies (T,) by ``paper`` (spectra) and ``ours``; flags of visible texels, ``seen``."""
         ours = estimate(self.capture, self.layout)
         paper = estimate(ours, method="spectrum", preset="paper")
         return {
@@ -97,7 +97,7 @@ class Table2(CaseSubject):
 
 
 def masked(error: np.ndarray, order: np.ndarray) -> list[float]:
-    """Return mean errors over the first texels of an order, for the shares ``PARTS``."""
+    """Return mean errors of the first texels in ``order``, for each fraction in ``PARTS``."""
     return [float(error[order[: max(int(part * len(order)), 1)]].mean()) for part in PARTS]
 
 

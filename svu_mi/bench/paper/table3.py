@@ -5,8 +5,8 @@ parameters), 60 photographs of 256 x 256:
 
 * rows of the paper: SH model (Eq. 6) in angle and power spectra (Eq. 11), both as printed; the
   reference also sums d over views (sigma .4 of the mean radiance);
-* the same over open texels, which lose less than 3 % of their irradiance to the object;
-* other readings of the text, and steps from the SH model to ours: light given in all directions,
+* the same over open texels, where the object occludes less than 3 % of the irradiance;
+* other readings of the paper, and steps from the SH model to ours: light given in all directions,
   GGX lobes with their Fresnel term, cells of the light, occlusion;
 * ours, with a reference that takes the mean over views (sigma .08).
 """
@@ -42,8 +42,8 @@ class EntropyRow:
         label: Label of the row.
         method: Method of ``estimate``.
         preset: Preset of ``estimate``.
-        reference: ``sum`` or ``mean`` of the errors of the reference over views.
-        open: Compare open texels in another row.
+        reference: ``sum`` or ``mean`` of errors over views, as used by the reference.
+        open: Add a row that compares only open texels.
     """
 
     label: str
@@ -100,7 +100,7 @@ class Table3(CaseSubject):
 
     @cached_property
     def observed(self) -> Estimate:
-        """Estimate by the paper's power spectra; the others reuse its rays."""
+        """Estimate by the paper's power spectra; other estimates reuse its visibility."""
         return estimate(self.capture, self.layout, "spectrum", "paper")
 
     @cached_property
@@ -118,7 +118,7 @@ class Table3(CaseSubject):
 
     @cached_property
     def entropies(self) -> dict[str, list[np.ndarray]]:
-        """Entropies of the reference and its halves, for the ``sum`` and ``mean`` over views."""
+        """Entropies of the reference and its halves, by ``sum`` and ``mean`` of errors."""
         reference, result = self.reference, {}
         posterior = partial(tabulated_posterior, grid=reference.posterior.grid, observed=self.seen)
         views = reference.coverage[:, None, None, None]
@@ -131,7 +131,7 @@ class Table3(CaseSubject):
 
     @cached_property
     def open(self) -> np.ndarray:
-        """Texels that lose little irradiance to the object, (n,) bool."""
+        """Texels whose irradiance the object hardly occludes, (n,) bool."""
         observed, result = self.observed.observed, np.zeros(self.layout.count, bool)
         assert observed is not None
         rules = (preset("default", occluded=on) for on in (True, False))
@@ -140,7 +140,7 @@ class Table3(CaseSubject):
         return result[self.reference.subset][self.seen]
 
     def head(self) -> Record:
-        """Return the agreement of the references with their halves and with simple maps."""
+        """Return correlations of each reference's halves, and of references and simple maps."""
         simple: Record = {}
         for which, (whole, *halves) in self.entropies.items():
             simple[f"reference's halves ({which})"] = correlation(*halves)
@@ -152,7 +152,7 @@ class Table3(CaseSubject):
                 "open texels, part": float(self.open.mean())}  # fmt: skip
 
     def measure(self, row: EntropyRow) -> Record:
-        """Return the correlation with the reference over all and over open texels."""
+        """Return an estimator's correlation with the reference, over all and open texels."""
         estimated = estimate(self.observed, method=row.method, preset=row.preset)
         own = np.array(estimated.entropy, np.float64)[self.reference.subset][self.seen]
         truth = self.entropies[row.reference][0]

@@ -46,7 +46,7 @@ class HoldoutCase:
     Attributes:
         bench: Folder, sizes and options of the run.
         source: Folder or scene of the capture.
-        every: Distance between held-out photographs; the first one is held out.
+        every: Every n-th photograph is held out, starting with the first.
     """
 
     bench: BenchRun
@@ -94,7 +94,7 @@ class HoldoutCase:
 
     @cached_property
     def held(self) -> np.ndarray:
-        """Held-out photographs among the used ones, (V,) bool."""
+        """Flags (V,) of the held-out photographs among the used ones."""
         held = np.arange(len(self.used)) % self.every == 0
         if held.all() or (~held).sum() < FEWEST:
             raise OptionError(
@@ -112,7 +112,7 @@ class HoldoutCase:
 
     @cached_property
     def lit(self) -> tuple[Capture, FoundGains]:
-        """Remaining photographs without gains, under the given or estimated light; gains."""
+        """Remaining photographs divided by gains, under given or estimated light; and gains."""
         options = QUICK_SEARCH if self.bench.quick else LightOptions(gains=True)
         progress = self.bench.progress
         if self.rest.environment is not None:
@@ -142,7 +142,7 @@ class HoldoutCase:
 
     @cached_property
     def samples(self) -> TexelSamples:
-        """Samples of the predicted texels in all photographs, with gains."""
+        """Samples of the predicted texels in all photographs, not divided by gains."""
         everything = observe(self.capture, self.layout, self.bench.progress)
         return TexelSamples.of(everything, find_preset("default", method="angular"), self._size[1])
 
@@ -153,14 +153,14 @@ class HoldoutCase:
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """Samples of remaining photographs that fit the others, (S,) bool."""
+        """Flags (S,) of samples from remaining photographs, except outliers."""
         fits = ~self.held
         fits[np.flatnonzero(fits)[self.lit[1].odd]] = False
         return fits[self.samples.view]
 
     @cached_property
     def enough(self) -> np.ndarray:
-        """Texels with at least ``FEWEST`` remaining photographs, (n,) bool."""
+        """Flags (n,) of texels that at least ``FEWEST`` remaining photographs show."""
         rest = np.bincount(self.samples.owner[self.kept], minlength=len(self.texels))
         enough = (rest >= FEWEST) & self.estimate.posterior.observed[self.texels]
         if not enough.any():
@@ -189,7 +189,7 @@ class HoldoutCase:
         }  # fmt: skip
 
     def _metallic(self) -> Record:
-        """Return shares of metallic, open and dielectric texels by their 90 % intervals."""
+        """Return shares of metallic, undecided and dielectric texels by 90 % intervals."""
         seen = np.flatnonzero(np.array(self.estimate.coverage) >= WELL_SEEN)
         ends = self.estimate.posterior.interval("metallic", chosen=seen)
         low, high = (np.array(end, np.float64) for end in ends)

@@ -1,7 +1,7 @@
 """Predictors of photographs, and scores of predictions.
 
 Exposure and white balance of a held-out photograph are unknown. The gain of each channel is fitted
-to half of its texels. The other half is scored without that gain and relative to the mean of the
+to half of its texels. The other half is divided by that gain and scored relative to the mean of the
 photograph, so that differences in brightness between photographs do not count.
 """
 
@@ -31,10 +31,10 @@ FACING = 0.7  # least cosine of a texel that faces the camera
 
 @dataclass(frozen=True)
 class PredictedView:
-    """Predicted radiance of n texels in one photograph, without its gain.
+    """Predicted radiance of n texels in one photograph, before its gain is applied.
 
     Attributes:
-        radiance: Draws, (D, n, 3).
+        radiance: Draws of radiance, (D, n, 3).
         sd: Standard deviation of the noise around each draw, (D, n); None if not predicted.
     """
 
@@ -42,7 +42,7 @@ class PredictedView:
     sd: np.ndarray | None = None
 
     def subset(self, texels: np.ndarray) -> PredictedView:
-        """Return the prediction of some texels."""
+        """Return the prediction of the given texels."""
         sd = None if self.sd is None else self.sd[:, texels]
         return PredictedView(self.radiance[:, texels], sd)
 
@@ -52,11 +52,11 @@ class Score:
     """Scores of predictions, with one list entry per photograph.
 
     Attributes:
-        first: Texels for the gains, (n,) bool.
-        predicted: Predicted radiance of the m other texels without gains, (m, 3).
-        shown: Radiance in the photograph without gains, (m, 3).
-        place: Quantile of the photograph in the predicted distribution, (m, 3).
-        facing: Texels that face the camera, (m,) bool.
+        first: Flags (n,) of texels that determine the gains.
+        predicted: Predicted radiance of the m other texels, (m, 3).
+        shown: Radiance in the photograph, divided by its gain, (m, 3).
+        place: Quantile of ``shown`` in the predicted distribution, (m, 3).
+        facing: Flags (m,) of texels that face the camera.
     """
 
     first: np.ndarray
@@ -67,7 +67,7 @@ class Score:
 
     @staticmethod
     def start(texels: int) -> Score:
-        """Return an empty score; the texels for the gains are drawn with a fixed seed."""
+        """Return an empty score; texels for gains are chosen at random, by a fixed seed."""
         return Score(np.random.default_rng(0).random(texels) < 0.5)
 
     def add(
@@ -96,7 +96,7 @@ class Score:
             self.place.append(scipy.special.ndtr(off / expected.sd[:, ~first, None]).mean(axis=0))
 
     def record(self) -> Record:
-        """Return R^2 of all, facing and steep samples and of each photograph, PSNR, coverage."""
+        """Return R^2 (all, facing and steep texels; each view), PSNR, and coverage of intervals."""
         if not self.shown:
             nan = float("nan")
             return {"r2": nan, "facing": nan, "steep": nan, "views": [], "psnr": nan, "holds": {}}
@@ -126,14 +126,14 @@ class Score:
 
 
 def fitted_gain(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Return the factor of each channel that fits (m, 3) values by least squares."""
+    """Return factors (3,) that fit ``predicted`` to ``shown``, (m, 3), by least squares."""
     return np.asarray(
         (predicted * shown).sum(axis=0) / np.maximum(np.square(predicted).sum(axis=0), 1e-300)
     )
 
 
 def r_squared(predicted: Sequence[np.ndarray], shown: Sequence[np.ndarray]) -> float:
-    """Return the share of the variance of photographs, (m, 3) each, that is predicted.
+    """Return the predicted fraction of the variance of photographs, (m, 3) each.
 
     Variance is relative to the mean of each channel and photograph; NaN without variance.
     """
@@ -185,7 +185,7 @@ def _posterior(subject: HoldoutCase) -> Predict:
 
 
 def _means(subject: HoldoutCase) -> Predict:
-    """Predict by the mean of each texel's samples, with least-squares gains of photographs."""
+    """Predict the mean of each texel's samples, after division by least-squares gains."""
     samples, kept = subject.samples, subject.kept
     gain = np.ones((len(samples.cameras), 3))
     view, count = samples.view, np.maximum(_sums(subject, np.ones(samples.count)), 1)
@@ -204,7 +204,7 @@ def _means(subject: HoldoutCase) -> Predict:
 
 
 def _diffuse(subject: HoldoutCase) -> Predict:
-    """Predict diffuse texels under the same light, with the best-fitting base colour."""
+    """Predict a diffuse surface under the same light, with the best-fitting base colour."""
     samples, kept, gains = subject.samples, subject.kept, subject.lit[1]
     seen_from = diffuse_seen_from(subject.observed, subject.switches, subject.texels)
     factor = np.ones((len(samples.cameras), 3))

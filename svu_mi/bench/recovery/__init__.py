@@ -142,13 +142,13 @@ def run_figures(timed: Timed) -> Record:
 
 @dataclass(frozen=True)
 class TextureScorer:
-    """Errors of recovered textures, by coverage and entropy.
+    """Scores of recovered textures against the true ones.
 
     Attributes:
         truth: True textures of T texels.
         coverage: Number of views of each texel, (T,).
         entropy: Angular entropy of the preset ``default``, (T,).
-        poor: Largest number of views of a hardly seen texel.
+        poor: Largest number of views for which a texel counts as hardly seen.
     """
 
     truth: TrueTextures

@@ -50,7 +50,7 @@ class RecoveryMethod:
         """Return the options of the presets, for direct light.
 
         Args:
-            scale: Factor of the epochs of the path tracer and the steps of SH descent.
+            scale: Factor of the numbers of path tracing epochs and SH descent steps.
         """
         sh, path = SH_PRESETS[self.sh], PATH_PRESETS[self.path]
         smoothing, descent = (
@@ -118,7 +118,7 @@ USUAL = (*OURS, SH_PAPER, SH_PAPER_SHARING, SPECTRUM)  # default rows; others ta
 
 
 def find_method(label: str) -> RecoveryMethod:
-    """Return a row by its label.
+    """Return the method with a label.
 
     Raises:
         OptionError: Unknown label.
@@ -129,7 +129,7 @@ def find_method(label: str) -> RecoveryMethod:
 
 
 def choose_methods(labels: Sequence[str]) -> tuple[RecoveryMethod, ...]:
-    """Return the rows with given labels, cheap ones first; the usual rows without labels.
+    """Return the methods with given labels, in the order of ``ROWS``; ``USUAL`` without labels.
 
     Raises:
         OptionError: Unknown label.

@@ -37,7 +37,7 @@ def paired(
     base: RecoveryMethod,
     value: Callable[[Record], Any],
 ) -> list[tuple[Any, Any]]:
-    """Return (value of a row, value of another) of each case with both rows."""
+    """Return (value of ``row``, value of ``base``) for each case that has both."""
     return [
         (value(case["rows"][row.label]), value(case["rows"][base.label]))
         for case in cases
@@ -46,7 +46,7 @@ def paired(
 
 
 def psnr_gaps(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> list[float]:
-    """Return the difference of the average texture PSNR of two rows in dB, per case."""
+    """Return average texture PSNR of ``row`` minus ``base`` in dB, per case."""
     return [a - b for a, b in paired(cases, row, base, lambda figures: figures["psnr"]["average"])]
 
 
@@ -57,7 +57,7 @@ def mean_psnr_gap(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMe
 
 
 def time_ratio(cases: Sequence[Record], row: RecoveryMethod, base: RecoveryMethod) -> float:
-    """Return the ratio of the times of two rows, median over cases; NaN without cases."""
+    """Return time of ``row`` / time of ``base``, median over cases; NaN without cases."""
     ratios = [a / b for a, b in paired(cases, row, base, lambda figures: figures["seconds"])]
     return float(np.median(ratios)) if ratios else float("nan")
 
@@ -92,7 +92,7 @@ class MethodComparison:
 
 
 def psnr_comparison(row: RecoveryMethod, base: RecoveryMethod, limit: float) -> MethodComparison:
-    """Return a lower bound of the mean PSNR difference of two methods."""
+    """Return a bar: lower limit of the mean PSNR of ``row`` minus ``base``."""
     title = "average texture PSNR, mean over cases"
     return MethodComparison(row, base, title, mean_psnr_gap, limit, "dB", True)
 
@@ -108,7 +108,7 @@ COMPARISONS = (
 
 
 def find_bars(record: Record) -> list[Bar]:
-    """Return the bars of a record of ``svu bench recovery``; empty without the rows."""
+    """Return the bars of a record of ``svu bench recovery`` whose methods were run."""
     bars = [claim.bar(record["cells"]) for claim in COMPARISONS]
     return [bar for bar in bars if not np.isnan(bar.value)]
 
@@ -117,7 +117,7 @@ Line = tuple[str, Sequence[Record]]  # label and records of a table row
 
 
 def _mean_at(*path: str) -> Callable[[Line], float | None]:
-    """Return a function that returns the mean of an entry of all records, by its path of names."""
+    """Return a function that averages the entry at nested keys ``path`` over records of a line."""
 
     def mean(line: Line) -> float | None:
         values: list[Any] = [reduce(_entry, path, record) for record in line[1]]
@@ -168,7 +168,7 @@ def title_of(case: Record) -> str:
 
 
 def _lines(cases: list[Record], rows: list[RecoveryMethod]) -> list[Line]:
-    """Return a line per row, and one for the true textures; labels of partial rows have a count."""
+    """Return table lines of methods (with the number of cases if not all) and true textures."""
     lines: list[Line] = []
     for row in rows:
         measured = [case["rows"][row.label] for case in cases if row.label in case["rows"]]
@@ -189,7 +189,7 @@ def _by_case(cases: list[Record], rows: list[RecoveryMethod]) -> str:
 
 
 def draw_recovery(records: Record) -> Figure:
-    """Plot average texture PSNR over run time: cases (small) and their mean (large)."""
+    """Plot average texture PSNR over run time: small marks are cases, large ones means."""
     cases, figure = records["recovery"]["cells"], page(6.5, 4.8)
     axes = figure.add_subplot()
     times: list[float] = []

@@ -155,7 +155,7 @@ def time_estimators(timing: SpeedCase) -> Record:
 
 
 def by_degree(timing: SpeedCase, variant: Variant) -> list[Record]:
-    """Return time and agreement by highest degree l*; empty for methods without degrees."""
+    """Return time and agreement by highest SH degree; empty for methods without SH."""
     if variant.method != "spectrum":
         return []
     return [
@@ -275,7 +275,7 @@ def time_from_files(timing: SpeedCase) -> Record:
 
 
 def run_from_files(source: str, resolution: int, method: Any) -> Record:
-    """Run from the files of a capture to entropy.exr once.
+    """Run all stages once, from the files of a capture to entropy.exr.
 
     Returns:
         ``stages`` in seconds, ``seconds`` in total, and the number of compiled ``kernels``.

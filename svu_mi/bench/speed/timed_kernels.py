@@ -37,7 +37,7 @@ SEED = 4711
 
 
 class KernelProgress(Progress):
-    """Progress that records the kernels of every stage, without inner stages.
+    """Progress that records the kernels of every stage, except those in inner stages.
 
     Attributes:
         launches: ``seconds`` in kernels, ``launched`` kernels and ``operations`` by stage.
@@ -61,7 +61,7 @@ class KernelProgress(Progress):
             self._running.pop()
 
     def _collect(self) -> None:
-        """Add the kernels since the last call to the innermost stage."""
+        """Count kernels launched since the last call for the innermost stage."""
         dr.sync_thread()
         history = dr.kernel_history()
         dr.kernel_history_clear()
@@ -77,7 +77,7 @@ class KernelProgress(Progress):
 
 
 def kernels_of(function: Callable[..., Any]) -> dict[str, Record]:
-    """Return the kernels by stage of a function that takes ``progress``."""
+    """Run a function that takes ``progress``; return its kernels by stage."""
     progress = KernelProgress()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         function(progress=progress)
@@ -122,7 +122,7 @@ def measure_gather(capture: Capture, resolution: int, repeats: int) -> Record:
 
 
 def fine_capture(views: int, film: int) -> Capture:
-    """Return photographs of noise of a vase with more than MIN_TRIANGLES triangles.
+    """Return a capture of a vase with over MIN_TRIANGLES triangles; its images are noise.
 
     Args:
         views: Number of photographs, on a sphere around the vase.
@@ -161,11 +161,11 @@ class Rays:
 
     @property
     def count(self) -> int:
-        """Number N of rays."""
+        """Number of rays, N."""
         return int(dr.width(self.reach))
 
     def at(self, index: Any, active: Any) -> Any:
-        """Return one ray per lane."""
+        """Return the rays at ``index``, one per lane."""
         origin = dr.gather(mi.Point3f, self.origin, index, active)
         direction = dr.gather(mi.Vector3f, self.direction, index, active)
         return mi.Ray3f(origin, direction, dr.gather(mi.Float, self.reach, index, active), 0.0, [])
