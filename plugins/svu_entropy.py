@@ -124,7 +124,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         self.table = None if self.colormap == "none" else _table(self.colormap)
 
     def _map(self, props: mi.Properties) -> tuple[str, mi.Texture]:
-        """Return the source of the map (file name or ``nested texture``), and its texture."""
+        """Return the file name of the map, or ``nested texture``, and its texture."""
         filename, filter_type = props.get("map", ""), props.get("filter_type", "nearest")
         if filter_type not in ("nearest", "bilinear"):
             raise OptionError(

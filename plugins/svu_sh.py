@@ -174,7 +174,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         return self._lights[key]
 
     def _check_materials(self, scene: mi.Scene) -> None:
-        """Raise an error if no shape can be rendered; warn about shapes that are black."""
+        """Raise an error if no shape can be rendered; warn of shapes rendered black."""
         shapes = scene.shapes()
         black = [shape for shape in shapes if not is_principled(shape.bsdf())]
         if len(black) == len(shapes):
@@ -212,7 +212,7 @@ class ShIntegrator(mi.SamplingIntegrator):
 
 @dataclass(frozen=True)
 class _Light:
-    """Prefiltered light, and a reference to its source that keeps the key unique."""
+    """Prefiltered light. ``source`` keeps the emitter alive, so its cache key stays unique."""
 
     model: PrefilteredModel
     moments: MomentMap
@@ -220,7 +220,7 @@ class _Light:
 
 
 def _facing(scene: Any, si: Any, ray: Any) -> tuple[FacingFrame, Any]:
-    """Return the frame of the side that a ray hits, and whether that side reflects."""
+    """Return the shading frame on the side that a ray hits, and whether it reflects."""
     cosine = dr.dot(si.sh_frame.n, -ray.d)
     turn = dr.select((cosine < 0) & _two_sided(scene, si), mi.Float(-1), mi.Float(1))
     side = FacingFrame(normal=turn * si.sh_frame.n, geometric=turn * si.n, direction=-ray.d)
@@ -228,7 +228,7 @@ def _facing(scene: Any, si: Any, ray: Any) -> tuple[FacingFrame, Any]:
 
 
 def _two_sided(scene: Any, si: Any) -> Any:
-    """Return whether the BSDF is two-sided, which its flags do not indicate."""
+    """Return whether the BSDF at a hit is two-sided; BSDF flags do not contain this."""
     kinds = {shape: is_two_sided(shape.bsdf()) for shape in scene.shapes()}
     if len(set(kinds.values())) == 1:
         return mi.Bool(all(kinds.values()))

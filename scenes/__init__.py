@@ -23,7 +23,7 @@ ASSETS = (".xml", ".ply", ".exr")
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the scenes that need no user files."""
+    """Return the names of the scenes that need no files from the user."""
     return NAMES
 
 

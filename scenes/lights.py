@@ -20,7 +20,10 @@ def directions() -> np.ndarray:
 
 
 def box(center: tuple[float, float, float], half: tuple[float, float], soft: float) -> np.ndarray:
-    """Return the mask (H, W) of a rectangle with soft edges; sizes are tangents."""
+    """Return the mask (H, W) of a rectangle with soft edges; ``center`` is its direction.
+
+    ``half`` (half the width and height) and ``soft`` are lengths in the plane at distance 1.
+    """
     d = directions()
     z = np.array(center) / np.linalg.norm(center)
     x = np.cross([0.0, 1.0, 0.0], z)

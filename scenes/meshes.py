@@ -96,7 +96,7 @@ def vase() -> Mesh:
 def knot() -> Mesh:
     """Return a tube along a (2, 3) torus knot, which occludes itself in every view.
 
-    Three charts contain a third of the tube each, with u along and v around the tube. One chart
+    Each of three charts contains a third of the tube, with u along and v around it. A single chart
     would be eight times longer than wide.
     """
     rings = 86 * KNOT_CHARTS

@@ -22,7 +22,7 @@ def coordinates() -> tuple[np.ndarray, np.ndarray]:
 
 
 def along(coordinate: np.ndarray, charts: int = 1) -> np.ndarray:
-    """Return the position within a chart: 0 to 1, and values beyond in gutters.
+    """Return the position within a chart, in [0, 1]; gutters get values outside [0, 1].
 
     Patterns of period 1 are continuous across the seam, and continue into the gutters.
     """

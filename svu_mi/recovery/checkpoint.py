@@ -49,7 +49,7 @@ class DescentState:
 
 
 class Checkpoint:
-    """Checkpoint file of one run. Attributes have the meaning of the arguments."""
+    """Checkpoint file of one run. Attributes are the arguments of ``__init__``."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class Checkpoint:
             ) from error
 
     def _require_same(self, stored: Mapping[str, np.ndarray]) -> None:
-        """Raise an error that names the difference if this is another run."""
+        """Raise an error that names the difference if ``stored`` is of another run."""
         if int(stored["format"]) != FORMAT:
             raise OptionError(
                 f"{self.path}: the checkpoint was written by another version of svu_mi; remove it "
@@ -174,7 +174,7 @@ def _changed(mine: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 def _flat(settings: Any, prefix: str = "") -> dict[str, Any]:
     """Flatten nested settings into one dictionary with dotted keys."""
     if not isinstance(settings, Mapping):
-        raise ValueError("its settings are not a JSON object")
+        raise ValueError("the settings are not a JSON object")
     flat: dict[str, Any] = {}
     for key, value in settings.items():
         nested = isinstance(value, Mapping)

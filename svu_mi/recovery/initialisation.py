@@ -91,7 +91,7 @@ def known_parameters(estimated: Estimate) -> dict[str, float]:
 
 
 def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[CalibratedKernel]:
-    """Recompute the posterior, weighting samples by residuals at its means."""
+    """Recompute the posterior with sample weights from the residuals at its means."""
     posterior, switches = estimated.posterior, estimated.switches
     assert isinstance(posterior.kernel, CalibratedKernel) and isinstance(switches, AngularPreset)
     factors = posterior.kernel.problem.factors
@@ -112,7 +112,7 @@ def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[Calibrated
 
 
 def posterior_means(estimated: Estimate) -> Textures:
-    """Return posterior means as textures; unseen texels take the mean of the others."""
+    """Return posterior means as textures; unseen texels take the mean of the seen ones."""
     posterior: Any = estimated.posterior
     means, _ = texel_moments(posterior)
     seen = posterior.observed

@@ -1,4 +1,4 @@
-"""Settings of the paper's recovery: reflection models, and the posterior of sharing.
+"""Settings of the paper's recovery: reflection models, and posterior for sharing.
 
 If the source is an estimate with preset ``paper``, its options (such as the degree) are kept. Known
 values and priors of roughness are always kept.
@@ -48,7 +48,7 @@ class PaperSettings:
         return given if is_own else None
 
     def record(self) -> dict[str, Any]:
-        """Return the settings of Eq. 14 and 15, and of the posterior in their weights."""
+        """Return the settings of sharing (Eq. 14, 15) and of the posterior in its weights."""
         grid, prior = self._grid_and_prior()
         posterior = {
             "method": "spectrum", **asdict(self.switches("spectrum")), "grid": asdict(grid),
@@ -57,7 +57,7 @@ class PaperSettings:
         return {"seeds": SEEDS, **PAPER_SETTINGS, "posterior": posterior}
 
     def sharing(self, observed: Observed, around: Neighbors, progress: Progress) -> GlobalSharing:
-        """Return the sharing of Eq. 14 and 15, with seeds by the posterior of Eq. 11."""
+        """Return the sharing of Eq. 14 and 15, with seeds from the posterior of Eq. 11."""
         certain = self._spectrum_estimate()
         if certain is None:
             grid, prior = self._grid_and_prior()

@@ -69,12 +69,12 @@ def recover(
             ``polish`` and ``paper_polish`` run the epoch of ``sh+path`` alone (``path`` only).
         sharing: Regularisation of uncertain texels by similar ones. True learns a common prior;
             with presets of the paper, it applies Eq. 14 and 15 to the posterior of Eq. 11 (from
-            ``source`` if that is over (roughness, Ks)). Or a ``GlobalSharing``.
-        tv: Weight of total variation, overrides the options.
+            ``source`` if that is over (roughness, Ks)). A ``GlobalSharing`` is used as given.
+        tv: Weight of total variation; replaces ``tv`` in ``sh`` and ``path``.
         parameters: Textures to recover; the others keep ``start`` or the scene's values.
         start: Initial textures; default: smoothed posterior means (sh) or 0.5 (path).
-        sh: Options of ``sh``, override the preset.
-        path: Options of ``path``, override the preset.
+        sh: Options of ``sh``, instead of the preset's.
+        path: Options of ``path``, instead of the preset's.
         checkpoint: File (.npz) to which the state of the last descent is saved.
         resume: True to continue from ``checkpoint`` if the file exists.
         checkpoint_seconds: Seconds between saved states.
@@ -189,7 +189,7 @@ def _minimise(
 def regularized(
     data: Objective, terms: Sequence[tuple[float, LossTerm]], fixed: dict[str, Any]
 ) -> Objective:
-    """Return data + sum of weight * term; terms also get the ``fixed`` textures."""
+    """Return the loss data + sum of weight * term; terms also read ``fixed``."""
     weights = [dr.opaque(mi.Float, weight) for weight, _ in terms]
 
     def objective(textures: dict[str, Any], step: int) -> Any:

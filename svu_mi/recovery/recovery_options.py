@@ -33,7 +33,7 @@ class DescentOptions:
             losses.
         low, high: Bounds of all parameters (default 0 and 1), applied after each step. Tighten
             them to exclude extreme values.
-        scales: Factors >= 0 of the rates of single parameters, by name; 1 if absent. 0 freezes one.
+        scales: Factors >= 0 of the rates, by parameter (default 1). 0 keeps a parameter constant.
         beta_1, beta_2: Decay rates of Adam's means of gradients and of their squares, in [0, 1)
             (default 0.9 and 0.999; ``path`` 0.99 for the latter). Raise them for noisy gradients.
 
@@ -77,7 +77,8 @@ class ShOptions:
             absolute error of radiance), ``coefficients`` or ``spectrum`` (of SH expansions).
         closed_form: True (default) to start at the smoothed posterior means, False for 0.5
             (``statistics`` only). Disable it to test the dependence on the start.
-        smoothing: Descent that smooths this start (240 steps, rate 0.05); skipped if ``tv`` is 0.
+        smoothing: Options of the descent that smooths posterior means (240 steps, rate 0.05); it is
+            skipped if ``tv`` is 0.
         robust: Number of re-weighting passes, 0 to 20 (default 0), that bring the squared error
             closer to an absolute error (``statistics`` only). Use 2 or 3 against outliers.
         tv: Weight of total variation, >= 0 (default 0.6). Unit with ``statistics``: nats per texel,
@@ -245,7 +246,7 @@ def method_options(
     method: Method, preset: str, sh: ShOptions | None = None, path: PathOptions | None = None,
     tv: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the options of each part of a method; given ones override the preset."""
+    """Return options by part of a method; ``sh`` and ``path`` replace the preset's."""
     names = _preset(preset, method) if method == "sh+path" else (preset,)
     options = {}
     for part, name in zip(method.split("+"), names, strict=True):

@@ -93,7 +93,7 @@ class RecoveryRun:
         return Checkpoint(path, self.settings, content=content, resume=resume, every=seconds)
 
     def _sharing_record(self) -> bool | dict[str, Any]:
-        """Return the record of sharing: False, True (common prior), or its settings."""
+        """Return ``sharing`` for the record: False, True (common prior) or its settings."""
         if isinstance(self.sharing, GlobalSharing):
             return self.sharing.record()
         used = [one for one in self.options.values() if one.sharing]
@@ -164,7 +164,7 @@ class RecoveryRun:
         return {name: tensor for name, tensor in textures.items() if name in self.names}
 
     def sharing_term(self, options: ShOptions | PathOptions) -> LossTerm | None:
-        """Return the loss term of sharing, or None if it needs none."""
+        """Return the loss term of sharing; None if disabled, or part of the data loss."""
         if not self.sharing or not options.sharing:
             return None
         if isinstance(self.sharing, GlobalSharing):
@@ -185,7 +185,7 @@ class RecoveryRun:
 
 
 def per_texture(rule: Callable[[Any], Any]) -> LossTerm:
-    """Extend a regulariser of one texture to the sum over all textures."""
+    """Return a loss term: the sum of the regulariser ``rule`` over all textures."""
     return lambda textures: sum(rule(texture) for texture in textures.values())
 
 

@@ -49,7 +49,7 @@ def relight(
     max_depth: int | None = None,
     pixels: Sequence[np.ndarray] | None = None,
 ) -> list[np.ndarray]:
-    """Path-trace the object in recovered textures.
+    """Path-trace the object with given textures.
 
     Args:
         capture: Capture with the scene, which is not modified.
@@ -60,7 +60,7 @@ def relight(
         spp: Samples per pixel.
         seed: Seed of the first image, incremented for each further one.
         max_depth: Maximum path length, 2 for direct light; default: the scene integrator's.
-        pixels: (H, W) bool mask per sensor of the pixels to render in one launch; default: all.
+        pixels: One (H, W) bool mask per sensor: pixels to render, in one launch; default: all.
 
     Returns:
         One (H, W, 3) float32 image per sensor, linear radiance with background; 0 where masked.
@@ -211,7 +211,10 @@ def relight_draws(
 def _relit(
     image: np.ndarray, inside: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int
 ) -> RelitView:
-    """Return a view with the moments of ``count`` draws, from sums of differences."""
+    """Return a view with mean and sd of ``count`` draws.
+
+    ``total`` and ``squares`` are sums of differences from ``image``, and of their squares.
+    """
     mean = total / count
     sd = np.sqrt(np.maximum(squares - count * mean**2, 0) / (count - 1))
     return RelitView(image, (image + mean).astype(np.float32), sd.astype(np.float32), inside)

@@ -20,8 +20,8 @@ from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter
 class Textures(ByParameter):
     """Parameters of Mitsuba's ``principled`` BSDF over a UV map, all in [0, 1].
 
-    Each is a TensorXf, by name or as an attribute: ``base_color`` (H, W, 3), linear RGB; the others
-    (H, W, 1). Row 0 is v = 0.
+    Each parameter is a TensorXf, read as an item or an attribute: ``base_color`` is (H, W, 3),
+    linear RGB; roughness and metallic are (H, W, 1). Row 0 is v = 0.
 
     Raises:
         ShapeError: A tensor has another shape.
@@ -39,7 +39,7 @@ class Textures(ByParameter):
 
     @classmethod
     def of(cls, images: Mapping[str, np.ndarray]) -> Textures:
-        """Copy NumPy images (H, W, C), by name."""
+        """Create textures from copies of NumPy images (H, W, C), by name."""
         return cls(**{
             name: mi.TensorXf(to_drjit(mi.Float, images[name].ravel()), shape=images[name].shape)
             for name in NAMES
@@ -91,7 +91,7 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
     """Evaluate the material of the scene at every texel.
 
     Args:
-        capture: Capture whose shape has a ``principled`` BSDF, and UVs if that has bitmaps.
+        capture: Capture whose shape has a ``principled`` BSDF, and UVs if the BSDF has bitmaps.
         texels: Texels of ``capture.mesh``.
     """
     return lay_out(texels, parameters_at(capture, texels))

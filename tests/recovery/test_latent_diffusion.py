@@ -180,7 +180,7 @@ def test_a_run_that_is_interrupted_leaves_the_older_result(
 
 
 @pytest.mark.parametrize("spoil, sentence", [
-    ("channels", "its U-Net has 16 input and 12 output channels instead of 12 and 8"),
+    ("channels", "the U-Net has 16 input and 12 output channels instead of 12 and 8"),
     ("weights", "cannot be used as Marigold"),
     ("tokenizer", "cannot be used as Marigold"),
     ("scheduler", "cannot be used as Marigold"),

@@ -129,7 +129,7 @@ FORGED = {
     "another array": ({"other": 1}, "it has an unknown array other"),
     "settings of numbers": ({"settings": 3}, "settings has the type int64"),
     "no JSON": ({"settings": "{"}, "Expecting"),
-    "a list": ({"settings": "[]"}, "its settings are not a JSON object"),
+    "a list": ({"settings": "[]"}, "the settings are not a JSON object"),
     "deep": ({"settings": DEEP}, ""),
     "deep objects": ({"content": '{"a":' * 5000 + "1" + "}" * 5000}, ""),
 }

@@ -25,8 +25,8 @@ def tv_predictions(
     """Yield titles and total-variation inpaintings (N, T).
 
     Lagged diffusivity [Vogel and Oman 1996]: links have equal weights first; later rounds weaken
-    them across edges of the last result. Pieces without known texels get the mean of all. Large
-    maps are filled from coarse to fine.
+    them across edges of the last result. Pieces without known texels get the mean of all known
+    texels. Large maps are filled from coarse to fine.
     """
     known, values, weights = graph.known, graph.values, graph.weights
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]

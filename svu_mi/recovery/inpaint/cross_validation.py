@@ -4,10 +4,10 @@ Each parameter has its own weights. Predictions are averaged with weights
 
     w_g ~ 1 / mean over parts of ((e_g^2 + e^2) / (e_*^2 + e^2)),
 
-where e_g is the RMS error of predictor g on a held-out part, e_* is the best predictor's, and e
-is the least standard deviation of a prediction. The result is m for all predictors, and s for
-total-variation inpaintings alone. Texels of a part get importance weights [Shimodaira 2000], so
-that their distances to known texels are distributed as for unknown texels.
+where e_g is the RMS error of predictor g on a held-out part, e_* is the least RMS error of all
+predictors, and e is the least standard deviation of a prediction. The result is m for all
+predictors, and s for total-variation inpaintings alone. Texels of a part get importance weights
+[Shimodaira 2000], so that their distances to known texels are distributed as for unknown texels.
 
 The filled value is s + a (m - s). The share a <= 1 is the largest for which no part has a larger
 error than with s alone, up to a tolerance t:
@@ -95,7 +95,7 @@ class HoldoutErrors:
 
     @staticmethod
     def of(graph: TexelGraph, hidden: np.ndarray, far: np.ndarray) -> HoldoutErrors:
-        """Compute errors on ``hidden`` texels (T,); ``far``: distances of unknown texels."""
+        """Compute errors on ``hidden`` texels (T,); ``far``: distances from unknown to known."""
         training, texels = graph.with_hidden(hidden), np.flatnonzero(hidden)
         texels = texels[intervals.subsample(np.arange(len(texels)), TRIAL_TEXELS)]
         true = graph.single[:, texels]

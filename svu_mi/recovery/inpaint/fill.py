@@ -37,7 +37,7 @@ def fill(
     Args:
         field: Recovered textures with standard deviations.
         seen: (T,) bool, True for texels that a photograph shows.
-        above: Limit of standard deviations, > 0. A seen texel with a larger one in any parameter
+        above: Limit of standard deviations, > 0. A seen texel that exceeds it in any parameter
             gets the precision-weighted mean of its value and the prediction.
         progress: Display of the stage.
 
@@ -111,7 +111,7 @@ def _fused(
 
 
 def variance_of(field: TextureField, known: np.ndarray) -> np.ndarray:
-    """Return the variance (N, 1) over ``known`` texels, the least variance of predictions."""
+    """Return the variance of ``known`` texels, (N, 1): lower limit for predictions."""
     return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 

@@ -44,7 +44,7 @@ class ModelReport:
     Attributes:
         model: Title of the model.
         licence: Licence of its weights.
-        answers: Results by kind of images, only of kinds that were needed.
+        answers: Results on photographs and on renders, if needed.
         reached: (T,) bool, texels with values of the model.
     """
 
@@ -110,13 +110,13 @@ class Fusion:
     def __init__(
         self, field: TextureField, shown: np.ndarray, start: TextureField | None = None
     ) -> None:
-        """Copy the values of ``start``, such as a filled field (default: ``field``)."""
+        """Initialise fused values with those in ``start`` (default: ``field``)."""
         start = field if start is None else start
         self.field, self.shown = field, shown
         self.values, self.least = start.values.copy(), start.width.copy()
 
     def fuse(self, name: str, at: np.ndarray, predicted: np.ndarray, sd: np.ndarray) -> None:
-        """Fuse texels of the mask ``at`` (T,) with predictions of standard deviation ``sd``."""
+        """Fuse texels of a mask ``at`` (T,) with predictions of a parameter and their ``sd``."""
         rows = self.field.rows(name)
         sd = np.maximum(sd, LEAST_SD)
         precision = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], LEAST_SD) ** 2, 0)

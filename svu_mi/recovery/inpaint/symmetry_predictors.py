@@ -34,7 +34,7 @@ class KnnSettings:
 
     Attributes:
         nearest: Number of neighbours.
-        bandwidth: Bandwidth of Gaussian weights, relative to the distance of the last neighbour.
+        bandwidth: Bandwidth of Gaussian weights, relative to the farthest neighbour's distance.
         farthest: Maximum distance of the first neighbour, in extents of the object.
         inside: True to restrict neighbours to the same piece.
     """
@@ -67,7 +67,7 @@ class KnownTexels:
     """Known texels, the training data of predictors.
 
     Attributes:
-        texels: (k,) texel numbers.
+        texels: (k,) texel indices.
         values: (N, k) values of the parameters.
         weights: (N, k) precisions.
     """

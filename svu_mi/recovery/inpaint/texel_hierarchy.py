@@ -26,7 +26,7 @@ class Pieces:
     Attributes:
         point: (T, 3) positions relative to the bounding box centre, in units of its diagonal.
         normal: (T, 3) unit normals.
-        piece: (T,) int64, number of the connected piece of the surface.
+        piece: (T,) int64, index of the connected piece of the surface.
     """
 
     point: np.ndarray
@@ -55,7 +55,7 @@ class Pieces:
         return Pieces(point / size, unit_vectors(normal), self.piece[first])
 
     def separated(self, places: np.ndarray) -> np.ndarray:
-        """Append a column to features (T, d) that separates pieces."""
+        """Append a column to features (T, d) that makes distances between pieces large."""
         return np.concatenate([places, PIECE_DISTANCE * self.piece[:, None]], axis=1)
 
 
@@ -76,7 +76,7 @@ class TexelGraph:
     Attributes:
         values: (N, T), mean values of the nodes.
         weights: (N, T), precisions of the values.
-        single: (N, T), values of one texel per node, for errors of texels instead of means.
+        single: (N, T), values of one texel per node, to measure errors of texels, not of means.
         known: (T,) bool, True for known values; others are ignored.
         size: (T,), number of texels per node.
         square: (T, 2) int64, row and column in the map.
@@ -115,7 +115,7 @@ class TexelGraph:
 
     @property
     def is_large(self) -> bool:
-        """True if there are more than MOST_TEXELS, and groups reduce their number."""
+        """True if there are more than MOST_TEXELS nodes, and grouping reduces them."""
         return self.count > MOST_TEXELS and self.halved[0].count < GROUPING_LIMIT * self.count
 
     @property

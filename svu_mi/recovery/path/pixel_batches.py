@@ -24,7 +24,7 @@ class PixelBatch:
 
     Attributes:
         index: (N,) UInt32, indices into the packed pixels of all photographs (``Views``).
-        places: View number, row and column, (N,) UInt32 each.
+        places: View index, row and column, (N,) UInt32 each.
     """
 
     index: Any
@@ -37,10 +37,10 @@ class PixelBatch:
 
 
 class PixelBatches:
-    """Batches of usable pixels, each a function of its step.
+    """Batches of usable pixels, one per step; the step index alone determines a batch.
 
     An epoch contains every usable pixel once, in tiles that are shuffled anew per epoch. The last
-    batch of an epoch is completed with its first pixels.
+    batch of an epoch is completed with the first pixels of the epoch.
 
     Attributes:
         views: Packed photographs.
@@ -57,7 +57,7 @@ class PixelBatches:
 
         Args:
             capture: Capture with the photographs.
-            size: Pixels per batch, at most all; None for the mean number per used photograph.
+            size: Pixels per batch (None: mean number of usable pixels per used photograph).
             seed: Seed of the order.
             views: Packed photographs of the capture; packed here if None.
 

@@ -13,8 +13,8 @@ Monte Carlo noise can bias a loss. For a render r with expectation R and a photo
   The render in the denominator would cause a bias. Noise of the photograph still causes one: pixels
   that are too dark get larger weights (5 % too dark at 16 samples per pixel).
 
-Gradient and loss need independent paths. Two halves A and B of the paths of a pixel can serve as
-each other's, which saves a pass:
+Gradient and loss need independent paths. The paths of a pixel can be split into halves A and B, so
+that the gradient of each half uses the loss of the other. This saves a pass:
 
     gradient = l'(A) dB + l'(B) dA,
 
@@ -65,7 +65,7 @@ LOSSES: dict[str, Callable[..., Any]] = {"l1": l1, "l2": l2, "relative": relativ
 
 @dataclass(frozen=True)
 class PathObjective:
-    """Objective for ``descend`` that renders a batch of pixels and compares it.
+    """Objective for ``descend``: renders a batch of pixels, compares with photographs.
 
     Attributes:
         target: Scene to render, with exchangeable textures.
@@ -129,7 +129,7 @@ class PathObjective:
     def _trace(self, batch: PixelBatch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
         """Trace a batch; return the results of ``render``, and the backward pass.
 
-        The latter is a function of the derivatives of a loss in the radiance of each path.
+        The backward pass is a function: its argument is dloss / dradiance of each path, Color3f.
         """
         count, views = len(batch.index), self.batches.views
         sampler = mi.load_dict({"type": "independent"})
@@ -158,7 +158,7 @@ class PathObjective:
         return dr.ravel(mi.Color3f(means)), dr.ravel(seen), replay
 
     def _loss_and_gradient(self, radiance: Any, photograph: Any) -> tuple[Any, Any]:
-        """Return the loss, and its derivatives in the radiance."""
+        """Return the loss, and its derivatives with respect to ``radiance``."""
         # Opaque, because a literal would compile new kernels for every capture.
         scale = dr.opaque(mi.Float, self.batches.mean or 1.0)
         with dr.resume_grad():

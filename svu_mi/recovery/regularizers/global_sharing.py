@@ -48,8 +48,8 @@ class GlobalSharing(Regularizer):
         estimate: Estimate of T texels, with their posteriors.
         mesh: Mesh of the texels, or their ``Neighbors``; None for neighbours in the map, which
             do not cross seams.
-        seeds: Maximum number of seeds, >= 1 (default 20, as in the paper), or texel numbers in
-            [0, T). After construction: texel numbers, (S,) int64; empty if no texel is observed.
+        seeds: Maximum number of seeds, >= 1 (default 20, as in the paper), or texel indices in
+            [0, T). After construction: texel indices, (S,) int64; empty if no texel is observed.
         tau: Width of the weights relative to the mean KL divergence, > 0 (default 0.4, as in the
             paper). Lower it to share among more similar texels only.
         seeding: Selection of seeds. ``spread`` (default): minima of the smoothed entropy, spread
@@ -105,7 +105,7 @@ class GlobalSharing(Regularizer):
         return cls(estimate, mesh, seeds=seeds, **PAPER_SETTINGS)
 
     def record(self) -> dict[str, Any]:
-        """Return number of seeds and settings, for the record of a run."""
+        """Return the number of seeds and all settings, for the record of a run."""
         names = ("tau", "seeding", "divergence", "anchored")
         return {"seeds": len(self.seeds)} | {name: getattr(self, name) for name in names}
 
@@ -123,7 +123,7 @@ class GlobalSharing(Regularizer):
         return self.estimate.texels.to_image(self.pull())
 
     def _chosen_seeds(self) -> np.ndarray:
-        """Return the texel numbers of the seeds, (S,) int64."""
+        """Return the texel indices of the seeds, (S,) int64."""
         if not isinstance(self.seeds, (int, np.integer)):
             chosen = np.array(self.seeds, np.int64).reshape(-1)
             return chosen[np.sort(np.unique(chosen, return_index=True)[1])]

@@ -14,7 +14,7 @@ from svu_mi.geometry.texels import Texels
 
 
 def with_known_gradient(value: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return a scalar with given derivatives ``slopes`` in Floats ``values``.
+    """Return scalar ``value`` with derivatives ``slopes`` with respect to ``values``.
 
     The backward pass is one multiplication per value, without sums. Its result is bitwise
     reproducible with any number of threads.
@@ -67,7 +67,7 @@ class Regularizer:
         raise NotImplementedError
 
     def _neighbors(self, mesh: Any) -> Neighbors:
-        """Return the neighbours of the texels; ``mesh`` may be a ``Neighbors`` already."""
+        """Return the neighbours of the texels; a ``Neighbors`` is returned unchanged."""
         texels = self._texels()
         around = mesh if isinstance(mesh, Neighbors) else neighbors(texels, mesh)
         if around.count != texels.count:

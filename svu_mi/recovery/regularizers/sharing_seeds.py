@@ -13,12 +13,12 @@ RESOLUTION = 1e-3  # step to which entropies are rounded
 
 
 def find_seeds(estimate: Estimate, around: Neighbors, count: int) -> np.ndarray:
-    """Return texel numbers of up to ``count`` seeds of all materials, (S,) int64.
+    """Return texel indices of up to ``count`` seeds of all materials, (S,) int64.
 
     Candidates are local minima of the smoothed entropy on the surface, at most at its median. The
     first seed is the candidate of least entropy. Each further one maximises 1 - H times the
-    distance of its posterior mean from the nearest seed. Least entropies alone could select
-    seeds of one material only.
+    distance of its posterior mean from the nearest seed. The texels of least entropy alone might
+    all belong to one material.
     """
     observed = np.array(estimate.coverage) > 0
     if not observed.any():
@@ -46,7 +46,7 @@ def least_minima(
     """Return the seeds of the paper: least local minima of the entropy, (S,) int64.
 
     A local minimum has no neighbour of lower entropy. Connected texels of equal entropy form a
-    plateau, which counts as one minimum and is represented by its texel of lowest number.
+    plateau, which counts as one minimum and is represented by its texel of lowest index.
     """
     candidates = local_minima(entropy, observed, around, 1, 0.0)
     return candidates[np.argsort(entropy[candidates], kind="stable")][:count]

@@ -85,7 +85,7 @@ class QuadraticPrior:
         """Return -log N(psi; mean, variance) with the moments of each texel's posterior.
 
         If the likelihood has several minima, the mean lies between them, and total variation
-        selects one by the neighbours.
+        selects the one that fits the neighbours.
         """
         means, sds = texel_moments(posterior)
         return QuadraticPrior._to(posterior, texels, means, nats_of_squares(sds))
@@ -142,7 +142,7 @@ def nats_of_squares(sds: Table) -> Table:
 
 
 def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
-    """Return posterior means and standard deviations, without the common scale."""
+    """Return posterior means and sds, without the common factor of base colour."""
     posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
@@ -161,7 +161,7 @@ def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
 
 
 def _map_values(do: Callable[..., Any], *values: Values) -> Values:
-    """Apply a function to corresponding Floats of all arguments."""
+    """Return the results of ``do`` on corresponding Floats of all arguments."""
     return {
         name: [do(*x) for x in zip(*(v[name] for v in values), strict=True)] for name in values[0]
     }
@@ -175,7 +175,7 @@ class SmoothedStart:
 
     Attributes:
         texels: The T texels.
-        keys: Parameter name and channel number of each channel.
+        keys: Parameter name and channel index of each channel.
         target: Posterior means m, a Float (T,) per channel.
         weight: Weights w / S, a Float (T,) per channel; 0 for unobserved texels.
         around: Columns of ``Neighbors``, UInt32 (T,) each.
@@ -232,7 +232,7 @@ class SmoothedStart:
         return with_known_gradient(dr.sum(loss), slopes, values)
 
     def laid_out(self, start: Textures, channels: Mapping[str, Any]) -> Textures:
-        """Return a copy of ``start`` with the given channels at the texels."""
+        """Return a copy of ``start``, with values of ``channels`` written at the texels."""
         images = {name: np.array(tensor, np.float32) for name, tensor in start.items()}
         index, (width, _) = self.texels.index.numpy(), self.texels.resolution
         for name, k in self.keys:

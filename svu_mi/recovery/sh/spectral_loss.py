@@ -5,7 +5,7 @@ With R the directional albedo of a lobe (1 unless enabled by the preset),
 
     c_model(l, m) = Ks R exp(-(alpha l)^2) c_L(l, m)        for l > 0       (Eq. 7)
     c_model(0, 0) = 2 Kd E / sqrt(pi) + Ks R c_L(0, 0)
-    S_model(l)    = the same, squared, with S_L(l) for c_L(l, m)^2          (Eq. 11)
+    S_model(l)    = c_model^2 with S_L(l) in place of c_L(l, m)^2           (Eq. 11)
 
 The loss is the mean absolute difference over n coefficients (l, m) or degrees l, S texels and C
 channels. Its unit is the mean radiance or power of the capture.
@@ -50,8 +50,8 @@ class SpectralObjective:
             domain is the spectrum.
         power: (2 (l* + 1) C S,) Float: rows S_B and S_L by degree and channel.
         irradiance: Irradiance E, a Float (S,) per channel.
-        texel: (S,) UInt32, number of each observed texel.
-        place: (S,) UInt32, flat index of each in a texture.
+        texel: (S,) UInt32, index of each observed texel.
+        place: (S,) UInt32, flat index of each observed texel in a texture.
         prefilter: Opaque Float, alpha'^2 of the light's prefilter to undo, or 0.
         albedo: (ALBEDO_LEVELS,) Float, R by roughness.
         factor: Opaque Float, 1 / (S C n unit).
@@ -88,7 +88,7 @@ class SpectralObjective:
         return total
 
     def _differences(self, l: int, channel: int, scale: Any, offset: Any) -> Any:
-        """Return absolute differences of degree l to the model ``scale`` c_L + ``offset``."""
+        """Return |observed - model| of degree l, for the model ``scale`` c_L + ``offset``."""
         if self.domain == "spectrum":
             count = dr.width(self.texel)
             lane, row = dr.arange(mi.UInt32, count), 2 * (3 * l + channel)

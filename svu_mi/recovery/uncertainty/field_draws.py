@@ -1,4 +1,4 @@
-"""Ingredients of draws: smooth random fields, and correlations between parameters.
+"""Components of draws: smooth random fields, and correlations between parameters.
 
 Smooth fields are sums of cosine waves with random wave vectors (random Fourier features [Rahimi and
 Recht 2007]). Their correlation at a distance d in space is exp(-d^2 / (2 l^2)).
@@ -25,7 +25,7 @@ CHUNK = 2**16  # texels per chunk of matrix inversion
 
 
 def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[Any]:
-    """Draw fields of mean 0 and variance 1: Floats (T,) at positions in units of l."""
+    """Draw ``number`` Floats (T,) of mean 0, variance 1; positions ``place`` are in units of l."""
     frequencies = random.standard_normal((3, number * WAVES)).astype(np.float32)
     phases = random.uniform(0, 2 * np.pi, number * WAVES).astype(np.float32)
     w, shift, fields = to_drjit(mi.Vector3f, frequencies), to_drjit(mi.Float, phases), []

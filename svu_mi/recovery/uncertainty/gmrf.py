@@ -1,7 +1,8 @@
 """Solver of sparse linear systems (D + K) x = y between neighbours on the surface.
 
-D is diagonal. K is the Laplacian of total variation made quadratic around textures x0 (lagged
-diffusivity [Vogel and Oman 1996]). Each pair of neighbours has a link of weight
+D is diagonal. Total variation is approximated by a quadratic around textures x0 (lagged diffusivity
+[Vogel and Oman 1996]). K is its Hessian, a graph Laplacian. Each pair of neighbours has a link of
+weight
 
     w_ij = lambda / sqrt((x0_i - x0_j)^2 + epsilon^2),
 
@@ -92,7 +93,7 @@ class Smoother:
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
         """Return the matrix of groups of 2 x 2 texels, given the group (T,) of each texel.
 
-        Two links join adjacent groups, so the strength doubles; so does epsilon with the distance.
+        Two links join adjacent groups, so the strength doubles. Epsilon doubles like the distance.
         """
         around = group_neighbors([np.array(column, np.int64) for column in self.around], owner)
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
@@ -236,7 +237,7 @@ def _normal(seed: Any, number: Any) -> Any:
 
 @dataclass(frozen=True)
 class Nested:
-    """Multilevel solver: a smoother of T texels, and one of groups of texels.
+    """Multilevel solver: the matrix of T texels, and a solver for groups of texels.
 
     Attributes:
         smoother: Matrix of the texels.

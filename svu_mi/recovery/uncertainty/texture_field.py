@@ -11,9 +11,9 @@ correlated over a neighbourhood, and smoothing does not reduce them. Deviations 
     c^2 = (A b)^2 + a (S |x0 - m|)^2,    A = (D + K)^-1 D,    S = (d + K)^-1 d.
 
 m and b are mean and standard deviation of a texel's own posterior, and g is a smooth random field
-of variance 1. A b is the standard deviation after smoothing if all errors are correlated. The other
-term of c averages |x0 - m| over a small neighbourhood (d is constant). Values x are clipped to
-[0, 1]; their standard deviations are enlarged to compensate for the clipping.
+of variance 1. A b is the standard deviation after smoothing if all errors are correlated. The
+second term of c^2 averages |x0 - m| over a small neighbourhood (d is constant). Values x are
+clipped to [0, 1]; their standard deviations are enlarged to compensate for the clipping.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class TextureField:
         return self._laid_out(name, low), self._laid_out(name, high)
 
     def to_textures(self, values: np.ndarray) -> Textures:
-        """Return textures of (N, T) values of all parameters."""
+        """Convert (N, T) values of all parameters to textures."""
         return lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
 
     def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
@@ -212,12 +212,12 @@ class TextureField:
 
     @cached_property
     def _own_sd(self) -> np.ndarray:
-        """Clipped standard deviations without the common scale, (N, T)."""
+        """Standard deviations after clipping, without the common scale of base colour, (N, T)."""
         return np.sqrt(self.common * self._coherent_sd**2 + (1 - self.common) * self._variance)
 
     @property
     def _variance(self) -> np.ndarray:
-        """Diagonal of (D + K)^-1, (N, T), as for constant D and links [Economou 2006]."""
+        """Diagonal of (D + K)^-1, (N, T), as if D and links were constant [Economou 2006]."""
         links, whole = self.smoother.links, self.smoother.precision
         whole += links
         rows = zip(links, whole, strict=True)
@@ -279,9 +279,9 @@ def texture_field(
 
 
 def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
-    """Return options with the total variation of a recovery, given its settings.
+    """Return the options of total variation in the recorded settings of a recovery.
 
-    Defaults for losses other than ``statistics``, because their weights are not in nats.
+    Losses other than ``statistics`` get the defaults, because their weights are not in nats.
     """
     used = settings.get("sh", {})
     if used.get("loss") != "statistics":
@@ -290,7 +290,7 @@ def tv_weights(settings: Mapping[str, Any]) -> ShOptions:
 
 
 def field_of_textures(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
-    """Return the field around textures; None if the estimate does not match."""
+    """Return the field around textures; None if the estimate's kind or size differs."""
     if not supports_texture_field(estimate) or textures.resolution != estimate.texels.resolution:
         return None
     return field_around(textures, estimate, neighbors(estimate.texels, mesh))
@@ -333,7 +333,7 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
 def _texel_moments(
     posterior: Posterior[CalibratedKernel], x0: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return posterior means and sds, (N, T) each; x0 and the prior's if unseen."""
+    """Return posterior means and sds, (N, T) each; for unseen texels, x0 and the prior's sd."""
     means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
     seen = posterior.observed
     deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SMALLEST_SD)

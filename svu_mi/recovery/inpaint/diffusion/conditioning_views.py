@@ -46,7 +46,7 @@ class ConditioningViews:
         capture: Capture with scene and photographs.
         field: Textures to fill.
         side: Maximum number of pixels of the longer side of an image.
-        photographs: Numbers of the photographs to use; None for renders from all around.
+        photographs: Indices of the photographs to use; None for renders from all around.
     """
 
     capture: Capture

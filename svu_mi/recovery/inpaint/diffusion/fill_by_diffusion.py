@@ -99,7 +99,7 @@ class _MultiViewInference:
     progress: Progress
 
     def filled(self, start: Filled) -> Filled:
-        """Replace values filled by symmetry where the model reaches."""
+        """Return ``start`` with the model's values at all filled texels that it reaches."""
         graph = TexelGraph.of(self.field, ~start.filled)
         masks = holdout_masks(graph)
         masks = masks[:: max(len(masks) // TRIALS, 1)][:TRIALS]
@@ -134,9 +134,9 @@ class _MultiViewInference:
     def _infer(
         self, source: ImageSource, views: ConditioningViews, task: Task, trials: Sequence[Task]
     ) -> tuple[Answer, np.ndarray] | None:
-        """Return the result on views of one kind, and all values (N, T).
+        """Return the result on photographs or renders (``source``), and all values (N, T).
 
-        None if the model reaches no held-out texel: its error would be unknown.
+        Returns None if the model reaches no held-out texel, because its error is then unknown.
         """
         with self.progress.stage(f"Running the model on {source}") as stage:
             places = [views.choose_views(trial.wanted, TRIAL_VIEWS) for trial in trials]
@@ -178,7 +178,7 @@ class _MultiViewInference:
         return values, reached
 
     def _errors(self, results: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
-        """Return RMS errors by parameter, for pairs of values (N, T) and a mask (T,)."""
+        """Return RMS errors by parameter, given values (N, T) and a mask (T,) per trial."""
         errors = [(values - self.field.values)[:, at] for values, at in results]
         means = (np.concatenate(errors, axis=1) ** 2).mean(axis=1)
         return {name: float(np.sqrt(means[self.field.rows(name)].mean())) for name in NAMES}

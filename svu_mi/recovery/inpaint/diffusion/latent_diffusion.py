@@ -177,7 +177,7 @@ class LatentDiffusion:
 
     @property
     def _factor(self) -> int:
-        """Pixels per latent and side."""
+        """Width of the square of pixels that one latent represents."""
         return int(2 ** (len(self.vae.config.block_out_channels) - 1))
 
 

@@ -84,7 +84,7 @@ def _require_channels(model: LatentDiffusion) -> None:
         channels = model.unet.config.in_channels, model.unet.config.out_channels
         if wanted != channels:
             raise ValueError(
-                f"its U-Net has {channels[0]} input and {channels[1]} output channels instead of "
+                f"the U-Net has {channels[0]} input and {channels[1]} output channels instead of "
                 f"{wanted[0]} and {wanted[1]}"
             )
 

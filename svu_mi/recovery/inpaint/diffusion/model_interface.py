@@ -90,8 +90,8 @@ class Family:
         licence: Licence of the published weights.
         runs: Denoising runs per image.
         photograph_first: True if the photograph's latent precedes the maps in the input.
-        encoded: Inputs and outputs in sRGB, such as ``photograph``; others are linear.
-        schedule: Settings of the noise schedule, override the published configuration.
+        encoded: Names of the inputs and outputs in sRGB, such as ``photograph``; others are linear.
+        schedule: Settings of the noise schedule that replace published ones.
     """
 
     title: str
