@@ -114,7 +114,7 @@ def _number(value: float | None, unknown: str = "unknown") -> str:
 
 
 def _finding_rows(one: Finding) -> dict[str, Any]:
-    """Return a finding, its best hypotheses with bar widths, and the number of hidden ones."""
+    """Return a finding, its best hypotheses with bar widths, and the count of omitted ones."""
     scores = [hypothesis.score for hypothesis in one.hypotheses]
     low, high = min(scores, default=0.0), max(scores, default=1.0)
     shown = list(one.hypotheses[:ROWS])
@@ -129,7 +129,7 @@ def _finding_rows(one: Finding) -> dict[str, Any]:
 def _views(
     capture: Capture, corrected: Capture, check: Check
 ) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
-    """Yield names, pictures with outlines, and numbers of the worst views."""
+    """Yield name, outlined picture and measures of each of the worst views."""
     frames = Thumbnails.of(reduce_photographs(capture, THUMBNAIL))
     seen = after = silhouettes(frames)
     if corrected is not capture:
@@ -162,7 +162,7 @@ def _draw_outline(picture: np.ndarray, seen: np.ndarray, color: tuple[float, flo
 
 
 def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[PageImage, str]]:
-    """Return panoramas of the light: as captured and, if different, corrected."""
+    """Return panoramas of the captured light and, if it differs, of the corrected light."""
     if emitter_of(capture) is None:
         return []
     shown = [(_panorama(capture), "as captured")]

@@ -88,7 +88,8 @@ def mean_marginals(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return mean marginals of all seen texels, and of the 10 % with the lowest entropy.
 
-    By parameter, (nodes, 1), or (nodes, 3) if channels differ. At least one texel must be seen.
+    Marginals are by parameter, (nodes, 1), or (nodes, 3) if the channels differ. At least one texel
+    must be seen.
     """
     limit = np.quantile(result.entropy[result.seen], LOWEST_PART)
 

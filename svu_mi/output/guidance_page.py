@@ -103,7 +103,7 @@ def _draw_view(
 
 
 def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
-    """Draw a map in texture space, with the colour bar of the row."""
+    """Draw a map in texture space, with a colour bar to its right."""
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
     style.caption(axes, words)
@@ -225,9 +225,9 @@ def information_gain_colors() -> Colormap:
 def _labels(
     order: np.ndarray, gains: np.ndarray, proposals: Sequence[Proposal]
 ) -> Iterator[tuple[int, float, int, int]]:
-    """Yield place, height, rank and line of each proposal's number above its bar.
+    """Yield the label of each proposal: x and height of its bar, rank, and line of text.
 
-    Close numbers are stacked in lines over the highest of their bars, at most nine lines.
+    Labels of adjacent bars are stacked above the first of them, in at most nine lines.
     """
     rank_of = {proposal.candidate: rank for rank, proposal in enumerate(proposals, 1)}
     last, line, height = -np.inf, 0, 0.0

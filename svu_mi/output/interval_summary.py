@@ -55,7 +55,7 @@ class Intervals:
 class CoarseIntervals(Intervals):
     """Intervals whose half-widths (T,) are computed for a subset of texels and repeated.
 
-    ``chosen`` (t,) are the computed texels; ``nearest`` (T,) is the closest one to each texel.
+    ``chosen`` (t,) are the computed texels; ``nearest`` (T,) are indices into ``chosen``.
     """
 
     def __init__(self, posterior: Any, chosen: np.ndarray, nearest: np.ndarray) -> None:
@@ -93,7 +93,7 @@ class IntervalSummary:
         mean_entropy: Mean entropy of seen texels; None without any.
         known_part: Fraction of the *seen* surface where a parameter is known, by open parameter;
             empty if no texel is seen.
-        all_known_part: Fraction of the seen surface where all of them are known; 0 if unseen.
+        all_known_part: Fraction of the seen surface where all parameters are known; 0 if unseen.
         median_half_width: Median half-width by parameter, over the seen surface.
         cell_width: Width of the grid's widest cell by parameter, if intervals consist of whole
             cells and this width exceeds the tolerance.
@@ -114,8 +114,8 @@ class IntervalSummary:
     ) -> IntervalSummary:
         """Summarise the intervals of an estimate.
 
-        ``intervals`` belong to its posterior; default: a few thousand seen texels, which
-        determine fractions to about 1 or 2 %.
+        ``intervals`` are computed from its posterior; by default, for a few thousand seen texels,
+        which determine fractions to about 1 or 2 %.
         """
         seen = is_seen(estimate)
         if intervals is None:
@@ -186,7 +186,7 @@ def plain_percent(value: float) -> str:
 
 
 def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    """Return the weighted median: the smallest value with half of the weight at or below it."""
+    """Return the weighted median: the smallest value with at least half the weight up to it."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])

@@ -51,8 +51,8 @@ def write_light(
 ) -> None:
     """Write ``light.exr``, ``light.npz``, ``light.png`` and ``light.json``.
 
-    ``used`` contains the options of the estimate, ``against`` the comparison with the capture's own
-    light, and ``timings`` seconds per stage.
+    ``used`` contains the options of the estimate, ``against`` compares it with the capture's own
+    light, and ``timings`` are seconds per stage.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -156,7 +156,7 @@ def deviation_colors(estimate: LightEstimate) -> np.ndarray:
 
 
 def known_colors(estimate: LightEstimate) -> np.ndarray:
-    """Return the map of ``known`` as screen colours (H, W, 3)."""
+    """Return ``LightEstimate.known`` as screen colours (H, W, 3)."""
     return style.colors(estimate.known)
 
 

@@ -102,7 +102,7 @@ def read_map(path: Path) -> np.ndarray | None:
 
 
 def read_deviations(folder: Path) -> dict[str, np.ndarray]:
-    """Read standard deviations (H, W, C) from ``uncertainty.exr``, by parameter, if it exists."""
+    """Return standard deviations (H, W, C) by parameter; empty without ``uncertainty.exr``."""
     path = folder / UNCERTAINTY
     channels = read_exr(path) if path.is_file() else {}
     planes = {name: [channels[f"{name}.sd{letter}"] for letter in ("", ".R", ".G", ".B")

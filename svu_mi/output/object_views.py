@@ -26,8 +26,9 @@ def distant_views(
 ) -> list[int]:
     """Return up to ``count`` used sensors that look from different directions.
 
-    The first one sees most texels (without counts: the first used one). Each further one has the
-    largest angle to all before it. Values are indices into ``capture.sensors``.
+    The first result is the sensor that sees the most texels or, without ``seen_per_view``, the
+    first used sensor. Each further one has the largest angle to those already chosen. Sensors are
+    returned as indices into ``capture.sensors``.
     """
     used = [index for index, used in enumerate(capture.used) if used]
     if len(used) < 2:
@@ -78,7 +79,7 @@ def up_direction(capture: Any) -> np.ndarray:
 def front_and_right(
     capture: Any, center: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions (3,) to the first photograph's camera, made horizontal, and right."""
+    """Return horizontal unit vectors (3,): front, to the first used camera; and right."""
     sensors = capture.used_sensors or capture.sensors
     right, _, front = viewing_frame(up, directions_of(sensors[:1], center)[0])
     return front, right
@@ -89,7 +90,7 @@ def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 
     Args:
         up: (3,) upward direction, any length except 0.
-        ahead: (3,) unit vector whose horizontal part is the front; if vertical, an axis is used.
+        ahead: (3,) unit vector; its horizontal part is the front. If vertical, +Z or +X is used.
     """
     up = up / np.linalg.norm(up)
     for front in (ahead, np.eye(3)[2], np.eye(3)[0]):

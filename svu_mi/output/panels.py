@@ -151,7 +151,7 @@ def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any
 
 
 def fully_seen(texels: Texels) -> Any:
-    """Return a stand-in for an estimate that has seen all texels."""
+    """Return texels and coverage as in an estimate, with every texel seen once."""
     return SimpleNamespace(texels=texels.layout, coverage=np.ones(texels.count, np.uint32))
 
 

@@ -110,7 +110,7 @@ def _texture(axes: Axes, image: np.ndarray) -> None:
 
 
 def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
-    """Draw a map at full width; without an estimate, write "not estimated"."""
+    """Draw a map with a colour bar; if ``estimate`` is None, write "not estimated"."""
     if estimate is None:
         _empty(axes, "not estimated")
     else:

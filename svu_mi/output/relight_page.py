@@ -69,7 +69,7 @@ def write_relighting(
 
 
 def view_file_names(names: Sequence[str]) -> list[str]:
-    """Return file names of views without suffix: their names if valid, else numbers."""
+    """Return file names without suffix: names of the views if valid, else numbers."""
     own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
     if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
         return list(names)
@@ -77,7 +77,7 @@ def view_file_names(names: Sequence[str]) -> list[str]:
 
 
 def relative_sd(view: RelitView) -> float | None:
-    """Return the median relative standard deviation of the object's pixels, None if black."""
+    """Return the median relative standard deviation of lit pixels; None if all are black."""
     radiance, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
     lit = radiance > 0
     return float(np.median(sd[lit] / radiance[lit])) if lit.any() else None

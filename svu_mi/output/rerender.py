@@ -92,9 +92,9 @@ def compare_renders(
     capture: Capture, textures: Textures, chosen: Sequence[int], spp: int = SAMPLES,
     side: int = SIDE, *, relit: bool = True,
 ) -> list[RenderComparison]:  # fmt: skip
-    """Render the object with textures from the ``chosen`` sensors, and under ``novel_light``.
+    """Return photographs and renders with ``textures`` from the ``chosen`` sensors.
 
-    ``side`` is the longer side of the pictures in pixels; ``relit`` adds the other light.
+    ``side`` is the longer side in pixels; ``relit`` adds renders under ``novel_light``.
     """
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
     covered = SensorPixels(sensors).covered(capture.scene, capture.shape)

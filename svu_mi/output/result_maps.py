@@ -111,9 +111,9 @@ def resampled(
     image: np.ndarray, size: tuple[int, int], shown: np.ndarray | None = None,
     mesh: Any | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Return a map (H, W, C) in another size; NaN far from valid texels.
+    """Resample a map (H, W, C) to ``size``, (width, height); NaN far from valid texels.
 
-    Valid texels are finite, ``shown`` (H, W bool, same size), and in a chart of the mesh.
+    Texels are valid if they are finite, True in ``shown`` (H, W), and on a chart of the mesh.
     """
     weight = np.isfinite(image).all(axis=2)
     if shown is not None and shown.shape == weight.shape:

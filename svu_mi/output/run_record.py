@@ -80,7 +80,7 @@ def environment_record() -> dict[str, Any]:
 def run_record(
     capture: Capture, estimate: Estimate, summary: IntervalSummary | None = None
 ) -> dict[str, Any]:
-    """Return the record of a capture and its estimate with interval ``summary``."""
+    """Return the record of a capture, its estimate, and the ``summary`` of its intervals."""
     entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
@@ -138,7 +138,7 @@ def _record(
     capture: Capture, seen: Estimate | Recovery, settings: dict[str, Any], result: dict[str, Any],
     **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the common entries of all records; ``seen`` provides the texels and coverage."""
+    """Return a record; texels are counted in ``seen``, and ``more`` contains further entries."""
     light = {} if capture.found_light is None else light_record(capture.found_light)
     texels = {"texels": seen.texels.count, "texels_seen": int(is_seen(seen).sum())}
     return {
@@ -160,7 +160,7 @@ def inputs_record(capture: Capture) -> dict[str, Any]:
 
 
 def write_run(draft: Draft, record: Mapping[str, Any], run: RunInfo) -> None:
-    """Write ``run.json``: a record of this module, settings and environment."""
+    """Write ``run.json``: ``record``, and the settings and environment of the run."""
     write_manifest(draft.folder / RECORD, {
         **record, "settings": {**record["settings"], "given": run.settings},
         "kernels_compiled": run.kernels, "environment": environment_record(), **draft.entries(),

@@ -45,8 +45,8 @@ class SurfaceMap:
         name: Name of the map.
         sentence: Description for pages.
         estimate: Estimate with texels and coverage; None if the values are a texture.
-        values: Function that returns numbers (T,), or (T, 3), which are averaged; without a scale
-            linear colours (T, 3). For a texture (H, W, 1) or (H, W, 3).
+        values: Function that returns the values. With a scale: numbers (T,), or (T, 3), whose
+            channels are averaged. Without one: linear colours (T, 3). Textures are (H, W, C).
         scale: Colour scale; None if the values are colours.
     """
 
@@ -61,8 +61,8 @@ class SurfaceMap:
 
         Args:
             gutter: Dilation of the charts in texels.
-            unseen: Colour (3,) or image (H, W, 3) for unseen texels of maps without a scale, in
-                which grey may be a value.
+            unseen: Colour (3,) or image (H, W, 3) that marks unseen texels of colour maps, where
+                grey may be a value.
         """
         values = np.array(self.values(), np.float32)
         if self.estimate is None:
@@ -86,8 +86,8 @@ def surface_maps(
 ) -> dict[str, SurfaceMap]:
     """Return all maps by name; colours are computed on request.
 
-    Entropy, coverage, most probable parameters, interval half-widths, marginal entropies, and
-    recovered textures (of the same resolution) with their uncertainty.
+    Maps of entropy, coverage, most probable parameters, interval half-widths, marginal entropies,
+    and recovered textures (of the same resolution) with their uncertainty.
     """
     intervals = intervals or Intervals(estimate.posterior)
     unknown = open_axes(estimate)

@@ -165,7 +165,7 @@ def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:
     Returns (H, W, C) float32 in [0, 1], and a note on the conversion, which may be empty.
 
     Raises:
-        CaptureError: the file is damaged, has other channels, or values outside [0, 1] or NaN.
+        CaptureError: the file is damaged, has other channels, or values that are not in [0, 1].
     """
     if path.suffix.lower() == ".exr":
         return _read_exr_texture(path, CHANNELS[name]), ""
@@ -196,7 +196,7 @@ def _read_exr_texture(path: Path, count: int) -> np.ndarray:
 
 
 def _single_channel(path: Path, planes: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the first plane (H, W, 1); raise an error if the planes differ."""
+    """Return the first channel (H, W, 1); raise an error if the channels differ."""
     if not all(np.array_equal(planes[0], plane) for plane in planes):
         raise CaptureError(f"{path}: a grey texture has unequal channels; export one channel.")
     return planes[0][..., None]

@@ -35,7 +35,7 @@ HEADING = "Textures that explain the photographs about equally well"
 def write_draws(
     draws: Iterator[Textures], folder: Path, attributes: Mapping[str, Any] | None = None
 ) -> list[Textures]:
-    """Write ``draws/draw_000.exr`` and so on in half precision; return the first six.
+    """Write ``draws/draw_000.exr`` and so on in half precision; return the first six draws.
 
     Channels are ``base_color.R`` (.G, .B), ``roughness`` and ``metallic``, all in [0, 1].
     """
@@ -53,7 +53,7 @@ def write_draws(
 
 
 def find_draws(folder: Path) -> list[Path]:
-    """Return the files of ``write_draws`` in order; raise a ``CaptureError`` if missing."""
+    """Return the files of ``write_draws`` in order; raise ``CaptureError`` without any."""
     files = sorted((folder / FOLDER).glob("draw_*.exr"))
     if not files:
         raise CaptureError(
@@ -63,7 +63,7 @@ def find_draws(folder: Path) -> list[Path]:
 
 
 def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
-    """Yield the textures in files of ``write_draws``; a damaged one raises a ``CaptureError``."""
+    """Yield the textures in files of ``write_draws``; raise ``CaptureError`` for a damaged file."""
     for path in files:
         channels = read_exr(path)
         missing = [key for name in NAMES for key in _channels(name) if key not in channels]

@@ -119,7 +119,7 @@ def _model_record(model: ModelReport) -> dict[str, Any]:
 
 
 def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Path) -> None:
-    """Draw every parameter before and after filling, from the view with most filled texels."""
+    """Draw every parameter before and after filling, as seen from ``_best_sensor``."""
     rows = ("before", "after", "standard deviation")
     model, texels = result.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
@@ -150,7 +150,7 @@ def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Pat
 
 
 def _best_sensor(capture: Capture, result: Filled) -> int:
-    """Return the sensor that most filled texels face."""
+    """Return the index of the sensor that the largest number of filled texels face."""
     texels = result.field.texels
     position, normal = (np.array(x)[:, result.filled] for x in (texels.position, texels.normal))
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]

@@ -47,7 +47,7 @@ def write_guidance(
     up: tuple[float, float, float] = UP,
     pictures: bool = True,
 ) -> None:
-    """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
+    """Write poses, maps and pictures of the proposals, ``guidance.json`` and ``run.json``.
 
     ``up`` is the top of the direction map; ``pictures`` enables ``guidance.png`` and thumbnails.
 
@@ -110,7 +110,7 @@ def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dic
 def file_names(capture: Capture, guidance: Guidance) -> list[str]:
     """Return file names for the photographs of the proposals.
 
-    Sensors of the capture keep their file name; others are numbered after them.
+    Sensors of the capture keep the names of their files; other names continue their numbers.
     """
     names, free = [], capture.count
     for proposal in guidance.proposals:

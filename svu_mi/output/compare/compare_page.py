@@ -27,10 +27,11 @@ SHOWN = 0.98  # quantile of differences within the scale
 def write_comparison(
     comparison: Comparison, folder: str | os.PathLike[str], *, settings: Any = None
 ) -> None:
-    """Write ``compare.html``, ``compare.json`` and a ``difference_*.exr`` of every map.
+    """Write ``compare.html``, ``compare.json`` and one ``difference_*.exr`` per map.
 
-    Each EXR contains the difference (Y, or R, G, B), ``deviations`` if known, and ``compared``: 1
-    where both sides have a value. Elsewhere all channels are 0.
+    Each EXR contains the difference (Y, or R, G, B), the difference in standard deviations
+    (``deviations``, if known), and ``compared``, which is 1 where both sides have a value.
+    Elsewhere all channels are 0.
     """
     attributes = {"svu:version": svu_mi.__version__}
     with writing(folder, "compare", RECORD) as draft:
@@ -63,7 +64,7 @@ def _pictures(comparison: Comparison, name: str) -> dict[str, Any]:
     limit = next((end for end in LARGEST if high <= end), LARGEST[-1])
 
     def draw(image: np.ndarray, limits: tuple[float, float], colormap: str) -> PageImage:
-        """Draw a map (H, W, C); grey without values, transparent outside the charts."""
+        """Draw a map (H, W, C): grey where NaN, transparent outside the charts."""
         known, values = np.isfinite(image).all(axis=2, keepdims=True), np.nan_to_num(image)
         colors = style.colors(values[..., 0], limits, colormap)
         if values.shape[2] == 3:

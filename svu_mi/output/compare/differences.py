@@ -38,9 +38,9 @@ LEAST = 1e-3  # lower bound of standard deviations
 class Difference:
     """Difference of two maps (H, W, C), the second minus the first; NaN where one has no value.
 
-    ``figures``, by area: ``mean``; ``median`` of the largest channel's magnitude; fraction
-    ``beyond`` the tolerance; ``rms``; ``psnr`` in dB; fraction ``certain`` to differ
-    (significant), and ``certain_mean`` there.
+    ``figures`` are weighted by area: ``mean``, ``rms``, ``psnr`` in dB, ``median`` of the largest
+    magnitude among channels, fraction ``beyond`` the tolerance, fraction ``certain`` with a
+    significant difference, and ``certain_mean``, the mean of significant differences.
     """
 
     both: tuple[np.ndarray, np.ndarray]
@@ -80,7 +80,7 @@ class Comparison:
         return self.maps.get("entropy")
 
     def image(self, name: str) -> np.ndarray:
-        """Return the map NAME or ``NAME_deviations``, (H, W) or (H, W, 3)."""
+        """Return a difference map by name, such as ``roughness`` or ``roughness_deviations``."""
         entry = self.maps.get(name.removesuffix("_deviations"))
         image = None if entry is None else entry.values if name in self.maps else entry.deviations
         if image is None:
@@ -112,9 +112,9 @@ def compare(
     Each side is a ``Capture``, which is estimated first; an ``Estimate``; a ``Recovery``; or the
     path of a folder: a capture, a result of ``svu entropy`` or ``svu recover``, or some of the
     textures ``base_color``, ``roughness``, ``metallic`` (EXR or PNG, over the same UVs). PNG base
-    colour is decoded from sRGB. Maps of another size are resampled. Texels that one side does not
-    show are ignored. If standard deviations are known, a difference is significant where
-    its mean over 5 x 5 texels exceeds two standard deviations of both sides together.
+    colour is decoded from sRGB. Maps of another size are resampled. Only texels that both sides
+    show are compared. If standard deviations are known, a difference is significant where its mean
+    over 5 x 5 texels exceeds twice its standard deviation, which combines both sides.
 
     Args:
         a: First side.
@@ -122,7 +122,7 @@ def compare(
         preset: Preset for captures; one name, or one per side.
         resolution: Texels per side, or (width, height); default: as the coarser side.
         tolerance: Relevant difference if no standard deviation is known.
-        trust: Option of ``load_capture``.
+        trust: Whether scenes may load their own plugins (see ``load_capture``).
         progress: Receiver of stages and timings.
         memory: Limit of the photographs' memory in bytes; None is unlimited.
 
@@ -181,7 +181,7 @@ class ComparisonPlan:
         self.size = size or min(((w, h) for h, w in shapes), default=(RESOLUTION, RESOLUTION))
 
     def estimate(self, index: int, capture: Capture, progress: Progress) -> None:
-        """Estimate a side; for a capture on disk without light, the light is estimated, too."""
+        """Estimate a side; if its capture is on disk and has no light, estimate the light first."""
         if not isinstance(dict(self.captures)[index], Capture):
             capture = with_resolved_light(capture, progress=progress)
         preset, grid = self.presets[index], texels(capture.mesh, self.size)
@@ -190,7 +190,7 @@ class ComparisonPlan:
         self.sides[index] = maps_of_estimate(result, self.names[index], about)
 
     def compared(self) -> Comparison:
-        """Compare the maps that both sides have; raise an error for different meshes."""
+        """Compare the maps that both sides have; raise an error if the meshes differ."""
         first, second = sides = [side for side in self.sides if side is not None]
         if first.key and second.key and first.key != second.key:
             raise CaptureError(
@@ -268,7 +268,7 @@ def difference(
 
 
 def _deviations(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
-    """Return means over a square, weighted by 1 / sd^2, in standard deviations: (H, W, 1)."""
+    """Return local means of differences, in units of their standard deviations, (H, W, 1)."""
     # Errors of neighbours are correlated, so the mean gets the variance of a single texel.
     known = np.isfinite(values) & np.isfinite(sd)
     weight = np.where(known, 1 / np.maximum(sd, LEAST) ** 2, 0)
@@ -279,6 +279,6 @@ def _deviations(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
 
 
 def largest(image: np.ndarray) -> np.ndarray:
-    """Return the channel value of the largest magnitude, (H, W, 1)."""
+    """Return the value of the channel with the largest magnitude, (H, W, 1)."""
     channel = np.abs(np.nan_to_num(image)).argmax(axis=2, keepdims=True)
     return np.take_along_axis(image, channel, axis=2)

@@ -120,7 +120,7 @@ class AssetFile:
 
 
 def largest_channel(deviations: np.ndarray) -> np.ndarray:
-    """Return the largest channel of (T, C) or (T,) values, (T,) float32."""
+    """Return the maximum over channels of values (T, C) or (T,), as (T,) float32."""
     table = np.asarray(deviations, np.float32)
     return np.asarray(table.reshape(len(table), -1).max(axis=1, initial=0))
 

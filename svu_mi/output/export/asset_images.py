@@ -72,7 +72,7 @@ def orm_image(asset: Asset) -> np.ndarray:
 def write_png(path: Path, pixels: np.ndarray, *, color: bool) -> None:
     """Write (H, W) or (H, W, C) uint8 or uint16 as PNG.
 
-    ``color`` declares sRGB. Otherwise no gamma is declared, which viewers would apply to the data.
+    If ``color``, the file declares sRGB. Other data declare no gamma, so that viewers apply none.
     """
     shown = np.ascontiguousarray(pixels[..., 0] if pixels.shape[2:] == (1,) else pixels)
     with replacing(path) as temporary:

@@ -1,7 +1,7 @@
 """Scene files of an asset: Mitsuba XML, and MaterialX with an OBJ mesh.
 
 In MaterialX, (0, 0) is the lower left corner of an image (Specification 1.38, "Image Nodes"), so v
-points upwards in the OBJ. A program that flips v of the GLB gets the same coordinates.
+points upwards in the OBJ. In the GLB, v points downwards.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
 
 
 def _preview(asset: Asset, up: Axis) -> list[Element]:
-    """Return the nodes of a scene: object, grey background, lamp above the camera's left."""
+    """Return the nodes of a scene: object, grey background, lamp at the upper left."""
     shape = make_mesh(asset.name, asset.mesh)
     camera = sphere_sensors(shape, 1, FILM, up=DIRECTION[up], lowest=-0.4)[0]
     pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)

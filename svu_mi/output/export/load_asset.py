@@ -40,8 +40,8 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
         folder: Folder with ``base_color.exr``, ``roughness.exr``, ``metallic.exr``,
             ``recovered.xml`` and ``assets/mesh.ply``. ``coverage.exr``, ``entropy.exr`` and the
             standard deviations of ``uncertainty.exr`` are optional.
-        entropy: Folder of ``svu entropy`` for the same capture, whose maps are used instead; any
-            resolution.
+        entropy: Folder of ``svu entropy`` for the same capture; replaces the maps of entropy and
+            coverage, and may have another resolution.
 
     Raises:
         CaptureError: a file is missing or damaged, or belongs to another run, mesh or capture.
@@ -98,7 +98,7 @@ class AssetPlan:
 
 
 def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
-    """Locate the files of an asset; they must come from one run and capture (``load_asset``)."""
+    """Locate the files of an asset, and check that they come from one run and capture."""
     restore(folder)
     require_recovery(folder, [*FILES.values(), SCENE, MESH], RECORD, ENTROPY)
     require_one_run(folder, [*FILES.values(), SCENE, MESH], RECORD, "recover")
@@ -112,7 +112,7 @@ def plan_asset(folder: Path, entropy: Path | None) -> AssetPlan:
 
 
 def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> None:
-    """Check that maps belong to one run and the textures' capture; ``explicit`` only warns."""
+    """Check the run and capture of maps; another capture only warns if ``explicit``."""
     maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
     runs = {marks_of(folder / name)[0] for name in maps}
     if len(runs - {""}) > 1:
@@ -125,7 +125,8 @@ def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> No
         sentence = f"{path}: comes from another capture than {textured}"
         if not explicit:
             raise CaptureError(
-                f"{sentence}; compute both from one, or give the folder of the maps with --entropy."
+                f"{sentence}; compute both from one capture, or give the folder of the maps with "
+                "--entropy."
             )
         warnings.warn(f"{sentence}; its values are used as they are.", SvuWarning, stacklevel=3)
         return
@@ -163,8 +164,8 @@ def _read_mesh(path: Path, smooth: bool) -> MeshArrays:
 
 
 def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
-    """Return standard deviations (H, W) by parameter, of colours the largest channel's; empty if
-    the file is missing or comes from another run than the textures."""
+    """Return standard deviations (H, W) by parameter (for colours, the maximum over channels);
+    empty if the file is missing or comes from another run than the textures."""
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
         return {}
     deviations = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
@@ -184,5 +185,6 @@ def _read_map(path: Path, maximum: float) -> np.ndarray | None:
 def _require_values(path: Path, image: np.ndarray, maximum: float, what: str = "") -> None:
     if bad := count_invalid(image, maximum):
         raise CaptureError(
-            f"{path}: {bad} values{what} are NaN or outside [0, {maximum:g}]; compute it again."
+            f"{path}: {bad} values{what} are NaN or outside [0, {maximum:g}]; compute the file "
+            "again."
         )

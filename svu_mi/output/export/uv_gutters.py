@@ -23,8 +23,9 @@ STRAY_LIMIT = 0.02  # largest fraction of the seen texels outside the mesh's cha
 def with_gutters(asset: Asset, width: int | None) -> Asset:
     """Fill texels outside the charts with the nearest value inside.
 
-    ``width`` is the largest distance in texels; None is unlimited. Beyond it, textures stay as they
-    are, entropy is 1, and other maps are 0. Maps of other UVs raise a ``CaptureError``.
+    ``width`` is the largest distance in texels; None is unlimited. At larger distances, textures
+    keep their values, entropy is 1, and other maps are 0. Raises a ``CaptureError`` if the maps
+    were computed for other UVs.
     """
     images = {name: np.array(tensor) for name, tensor in asset.textures.items()}
     shapes = [image.shape[:2] for image in (*images.values(), *asset.maps.values())]
@@ -53,7 +54,7 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
 
 
 def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
-    """Return (H, W) bool, True for texel centres on a chart; a ``MeshError`` without any."""
+    """Return (H, W) bool, True for texel centres on a chart; raise MeshError if all are False."""
     height, width = shape
     assert asset.mesh.uvs is not None
     count = rasterize(asset.mesh.uvs[asset.mesh.faces], (width, height))[1]
@@ -66,11 +67,11 @@ def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
 
 
 def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
-    """Return the mean of a map (H, W) with gutters around each of N vertices, (N,) float32.
+    """Return local means of a map (H, W) with gutters at the N vertices, (N,) float32.
 
     Texels contribute to the three vertices of their face, weighted by area and barycentric
-    coordinates: the L2 projection onto linear elements with a lumped mass matrix. Vertices at the
-    same point, as along chart borders, get the same value.
+    coordinates: the L2 projection onto linear elements with a lumped mass matrix. Vertices with
+    the same position, as along chart borders, get the same value.
     """
     assert mesh.uvs is not None
     height, width = image.shape

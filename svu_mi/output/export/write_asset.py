@@ -74,7 +74,7 @@ class ExportOptions:
 
     @property
     def written(self) -> tuple[Format, ...]:
-        """Formats to write, including textures that other formats use."""
+        """Formats to write, including the images that chosen formats refer to."""
         needed = {*self.formats, *(NEEDS[name] for name in self.formats if name in NEEDS)}
         return tuple(name for name in FORMATS if name in needed)
 
@@ -84,7 +84,7 @@ def export_asset(
 ) -> Path:
     """Write an object with its textures for other programs.
 
-    Replaces an older export in one step. ``asset.json`` describes all files.
+    An older export in the folder is replaced in one step. ``asset.json`` describes all files.
 
     Args:
         asset: Asset, or path of a folder that ``svu recover`` wrote.

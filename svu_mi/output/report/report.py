@@ -52,8 +52,8 @@ def write_report(
 ) -> IntervalSummary:
     """Write an estimate as one self-contained HTML page.
 
-    The page opens in any browser without a network. Captures with many photographs show and render
-    an even subset, so that size and time stay small.
+    The page opens in any browser without a network. Of many photographs, an evenly spaced
+    subset is shown and rendered, so that size and time stay small.
 
     Args:
         capture: Capture of the estimate.

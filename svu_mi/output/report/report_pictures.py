@@ -56,7 +56,7 @@ def thumbnails(
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return thumbnails of used photographs and of some unused ones.
 
-    ``first`` marks those outside the collapsed part of the page.
+    The entry ``first`` is True for thumbnails outside the collapsed part of the page.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
     left_out = [view for view in range(capture.count) if not capture.used[view]]
@@ -168,7 +168,7 @@ def _chequers(estimate: Estimate) -> np.ndarray:
 def _pictures(
     table: Turntable, shown: Iterable[SurfaceMap], inside: np.ndarray, **options: Any
 ) -> list[MapPictures]:
-    """Render maps with the options of ``SurfaceMap.colors``; textures are opaque in charts."""
+    """Return maps with pictures on the object and as a texture (see ``SurfaceMap.colors``)."""
     drawn = []
     for one in shown:
         colors = one.colors(**options)
@@ -178,10 +178,10 @@ def _pictures(
 
 
 def render_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str, Any] | None:
-    """Compare renders with recovered textures and photographs; brightness only if ``grey``.
+    """Compare photographs with renders of recovered textures; if ``grey``, brightness only.
 
-    Returns mean differences of an even subset of views, their chart, and pictures of the best,
-    median and worst view. None if no photograph shows the object.
+    Returns the mean differences of evenly spaced views, a chart of them, and pictures of the
+    best, median and worst view. None if no photograph shows the object.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
     compared = _compare(capture, textures, subsample(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
@@ -224,7 +224,7 @@ def _chart(values: np.ndarray, rows: list[tuple[str, str]]) -> Plot:
 def _compare(
     capture: Capture, textures: Textures, chosen: list[int], grey: bool, size: tuple[int, int]
 ) -> list[RenderComparison]:
-    """Compare views; ``size`` is the longer side in pixels and the samples per pixel."""
+    """Compare the chosen views; ``size`` is (longer side in pixels, samples per pixel)."""
     side, spp = size
     compared = rerender.compare_renders(capture, textures, chosen, spp, side, relit=False)
 

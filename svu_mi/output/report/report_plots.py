@@ -42,7 +42,7 @@ class Plot:
         heights: (N,) values of the bars; empty for lines only.
         labels: (N,) tooltips of the bars.
         colors: (N,) colours of the bars; empty for the page's colour.
-        lines: Style of ``page.css`` (``red``, ``prior``, ...), x and y of each line.
+        lines: Style from ``page.css`` (``red``, ``prior``, ...), x values and y values per line.
         top: Value at the upper end.
         x_ticks: Values and labels of the x axis.
         y_ticks: Values and labels of the y axis.
@@ -127,7 +127,8 @@ def example_texels(
 ) -> Iterator[dict[str, Any]]:
     """Yield seen texels of low, median and high entropy with their marginals.
 
-    ``x`` and ``y`` are the position in ``picture`` in percent, if a frame shows the texel.
+    ``x`` and ``y`` are the texel's position in ``picture``, in percent of its width and height.
+    If no frame shows the texel, ``picture`` is None.
     """
     seen = np.flatnonzero(result.seen)
     order = seen[np.argsort(result.entropy[seen], kind="stable")]
@@ -162,7 +163,7 @@ def _interval_text(intervals: Intervals, name: str) -> str:
 def _marginal(
     posterior: Any, name: str, p: np.ndarray, lowest: np.ndarray | None = None
 ) -> Plot:  # fmt: skip
-    """Return bars, or lines for three channels; dashed: lowest entropy, dotted: prior."""
+    """Plot a marginal as bars, or as one line per channel; ``lowest`` is dashed."""
     nodes, prior, several = posterior.axes[name], prior_marginal(posterior, name), p.shape[1] == 3
     lines = [("prior", nodes, prior)]
     if several:

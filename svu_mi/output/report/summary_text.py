@@ -52,7 +52,7 @@ class WidthShares(NamedTuple):
 
 
 def facing_direction(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
-    """Return ``upwards`` or ``downwards`` if chosen texels (T,) mostly face there, else None."""
+    """Return ``upwards`` or ``downwards`` if the chosen texels mostly face that way, else None."""
     area = texel_areas(estimate)[chosen]
     heights = np.array(estimate.texels.normal, np.float64).T[chosen] @ up
     if not area.sum() > 0:

@@ -78,9 +78,9 @@ class Turntable:
         return object_views.crop(np.dstack([color, alpha]), self.window)
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
-        """Return the most frontal visible texel of some (t,): its index, frame, x and y.
+        """Return the texel of ``chosen`` (t,) that is seen most frontally: index, frame, x and y.
 
-        x and y are fractions of the frame from the left and the top. None if none is visible.
+        x and y are fractions of the frame from the left and the top. None if no texel is visible.
         """
         points = np.array(texels.position).T[chosen]
         normals = np.array(texels.normal).T[chosen]

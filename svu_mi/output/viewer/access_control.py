@@ -61,7 +61,7 @@ class Guard:
         return "/" + path.removeprefix(f"/{self.secret}").removeprefix("/")
 
     def process_request(self, then: Callable[..., Any] | None) -> Callable[..., Any]:
-        """Return a ``process_request`` of ``websockets`` that calls ``then`` for valid requests."""
+        """Return a callback of ``websockets`` that refuses a request or passes it to ``then``."""
 
         def guarded(connection: Any, request: Any) -> Any:
             headers = request.headers
@@ -79,7 +79,7 @@ class Guard:
 
     @contextlib.contextmanager
     def installed(self) -> Iterator[None]:
-        """Guard all servers that viser starts in this context; verify with ``is_closed``."""
+        """Protect all servers that viser starts in this context; verify with ``is_closed``."""
         from websockets.asyncio import server
 
         serve = server.serve

@@ -70,7 +70,7 @@ class Picker:
     def pick(self, origin: Any, direction: Any) -> Pick | None:
         """Return the first texel that a ray hits; None if it misses the object.
 
-        In charts too narrow for a texel centre, it is the nearest texel in the texture.
+        In charts too narrow for a texel centre, returns the nearest texel in the texture.
         """
         # Arrays: Dr.Jit would compile literal numbers into a new kernel for every ray.
         start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))

@@ -216,7 +216,7 @@ class Viewer:
         )
 
     def _listen(self) -> None:
-        """Turn events into tasks; coroutines, because viser runs coroutines in order."""
+        """Turn viser's events into tasks; handlers are coroutines, which viser runs in order."""
 
         def later(work: Callable[[Any], None]) -> Callable[[Any], Any]:
             async def put(event: Any) -> None:
@@ -260,7 +260,7 @@ class Viewer:
         )  # fmt: skip
 
     def _update_frusta(self) -> None:
-        """Hide other cameras while one is shown; colour the cameras that see the texel."""
+        """Hide cameras while another one is shown; mark the cameras that see the picked texel."""
         seeing = self.picked.seen_by if self.picked else ()
         for view, handle in enumerate(self._frusta):
             handle.visible = self._cameras.value if self._view is None else view == self._view
@@ -275,7 +275,7 @@ class Viewer:
             self._frusta[self._view].image = (image * opacity).astype(np.uint8)
 
     def _move(self, camera: Any, to: Frustum | None) -> None:
-        """Move a browser's camera to a frustum, with its whole picture visible; None: go home."""
+        """Move a browser's camera to a frustum and show its whole picture; None: initial camera."""
         if to is None:
             home = self._server.initial_camera
             camera.position, camera.look_at, camera.fov = home.position, home.look_at, home.fov

@@ -38,7 +38,7 @@ B, C, D, E, F = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 def textured_mesh(mesh: Any, colors: np.ndarray) -> Any:
     """Return an ``mi.Mesh`` with UVs as a ``trimesh.Trimesh``.
 
-    ``colors`` (H, W, 3) are its screen colours under white light of ``LIGHT_STRENGTH``.
+    ``colors`` (H, W, 3) is how the texture appears on screen under the page's white light.
     """
     source = meshes.arrays(mesh)
     assert source.uvs is not None
@@ -60,8 +60,8 @@ def material_colors(colors: np.ndarray) -> np.ndarray:
 def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
     """Return the texture that produces linear colours (..., 3) under ``LIGHT_STRENGTH``.
 
-    The curve cannot reach the most saturated colours, which become slightly paler, or white, which
-    becomes slightly grey.
+    The tone curve does not reach white and the most saturated colours. They become slightly grey
+    and slightly paler, respectively.
     """
     curve = np.clip(linear @ np.linalg.inv(FROM_ACES).T, 0, 1)
     a, b, c = 1 - D * curve, B - E * curve, -(C + F * curve)
@@ -78,8 +78,8 @@ class Frustum:
         position: (3,) float64, in world space.
         fov: Vertical field of view of the picture in radians.
         aspect: Width divided by height of the picture.
-        image: (h, w, 4) uint8, photograph in screen colours, padded with transparent pixels until
-            the principal point is its centre.
+        image: (h, w, 4) uint8, photograph in screen colours, padded with transparent pixels so that
+            the principal point is at the centre.
     """
 
     rotation: np.ndarray
