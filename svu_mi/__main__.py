@@ -8,7 +8,7 @@ from typing import Any
 
 
 def main() -> int:
-    """Run ``svu``; Ctrl-C ends it in one line, also while modules are imported."""
+    """Run ``svu``; Ctrl-C ends it with a one-line message, also during imports."""
     usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if usual:
         signal.signal(signal.SIGINT, _stop)
@@ -23,7 +23,7 @@ def main() -> int:
 
 
 def _stop(*_: Any) -> None:
-    """End the process at once: an exception would leave a traceback of the import system."""
+    """End the process immediately; an exception would print a traceback of the imports."""
     os._exit(_interrupted())
 
 

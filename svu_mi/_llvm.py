@@ -80,7 +80,7 @@ def status() -> LlvmStatus:
 
 
 def require() -> None:
-    """Raise an error without a usable LLVM; call before the first LLVM kernel.
+    """Raise an error if no LLVM is usable; to be called before the first LLVM kernel.
 
     Raises:
         SvuEnvironmentError: no usable LLVM; the message contains the remedy for this system.
@@ -209,7 +209,7 @@ def make_loadable(library: str) -> None:
 
 
 def _early_drjit() -> LlvmStatus:
-    """Check the library that Dr.Jit selected, because it was imported before svu_mi.
+    """Check the library that Dr.Jit selected, if Dr.Jit was imported before svu_mi.
 
     Raises:
         SvuEnvironmentError: an LLVM variant is set, and its library would abort the process.
@@ -298,7 +298,7 @@ def _listed(folder: str) -> list[str]:
 
 
 def newest_first(source: str, folders: Iterable[str]) -> list[tuple[str, str]]:
-    """Return the library files in some folders; names without a version come last."""
+    """Return (source, path) of library files, newest first; unknown versions come last."""
     found = {
         os.path.realpath(os.path.join(folder, name))
         for folder in folders

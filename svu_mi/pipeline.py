@@ -123,7 +123,7 @@ def _observations(
 
 
 def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimate:
-    """Compute the posterior by the method of ``switches``, and the entropy."""
+    """Compute the posterior by ``method``, and its entropy."""
     observed, progress = inputs.observed, inputs.progress
     sure: Any = inflated(switches, observed.capture)
     from_views = _from_statistics if isinstance(sure, AngularPreset) else _from_spectra

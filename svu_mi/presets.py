@@ -31,7 +31,7 @@ BandLimit = Literal["photographs", "growing"]
 
 
 class _Channels:
-    """Colour channels of the presets of all methods."""
+    """Option ``channels``, which the presets of all methods have."""
 
     channels: Any
 
@@ -124,7 +124,7 @@ class Preset(_Channels):
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Options of the SH fit of each texel's light (Eq. 12); defaults as printed.
+    """Options of the SH fit of each texel's light (Eq. 12); defaults as in the paper.
 
     Samples are the directions that the texel mirrors into the v photographs. The light is first
     band-limited at alpha' = v^(-1/2) (Sec. 3.3.2).
@@ -268,7 +268,7 @@ class AngularPreset(_Channels):
             )
 
     def _require_printed(self) -> None:
-        """Raise an error unless lobes are as in Eq. 6, the only ones for fitted light."""
+        """Raise an error unless lobes are as in Eq. 6, which a ``fit`` requires."""
         require(self, isinstance(self.fit, Fit), "fit", "a Fit, or None")
         require(self, self.cells == 0, "cells", "0 with a fit, which has no visibility")
         require(self, self.lobe == "gaussian", "lobe", "'gaussian' with a fit")
@@ -282,7 +282,7 @@ class AngularPreset(_Channels):
         return self.cells > 0
 
     def kappa(self, unit: float) -> float:
-        """Return the radiance above which weights of samples decrease; infinity: all weigh 1.
+        """Return the radiance above which weights of samples decrease; infinity: equal weights.
 
         Args:
             unit: mean radiance of the photographs.
@@ -294,7 +294,7 @@ class AngularPreset(_Channels):
 class Skip:
     """Optimisations that do not change results; all are enabled by default.
 
-    Measure one by disabling it; ``NOTHING`` disables all. Texels outside the charts are never
+    To measure one, disable it; ``NOTHING`` disables all. Texels outside the charts are never
     computed.
 
     Example:
@@ -401,7 +401,7 @@ def preset(
 
 
 def _require(name: str, method: str, what: str, known: dict[str, list[str]]) -> None:
-    """Raise an error if a method lacks a name, and suggest the method that has it."""
+    """Raise an error if a method lacks ``name``; suggest the method that has it."""
     if name not in known[method]:
         others = [other for other in known if name in known[other]]
         raise OptionError(

@@ -59,7 +59,7 @@ def mean_over_objects(values: Any, objects: Sequence[str], *, seed: int = 0) -> 
     Cases of one object under several lights are not independent, so whole objects are drawn with
     replacement, 2000 times. The central 95 % of the means is widened by sqrt(n / (n - 1)) t / z for
     n objects, because percentile intervals of small samples are too short (Hesterberg, The American
-    Statistician 2015, Sec. 3.3, 4.1.2). It may exceed [-1, 1].
+    Statistician 2015, Sec. 3.3, 4.1.2). The interval may extend beyond [-1, 1].
 
     Args:
         values: (n,) one value per case.
@@ -98,11 +98,11 @@ class Sparsification:
     Attributes:
         removed: (n,) removed fraction of the texels, 0, 1/n, ... (n - 1)/n.
         by_uncertainty: (n,) remaining error if the most uncertain texels are removed first;
-            average over random order of ties.
+            averaged over all orders of equal uncertainties.
         oracle: (n,) remaining error if the largest errors are removed first.
         ause: Area between the two curves (trapezoidal rule over ``removed``); 0 is perfect.
         relative: ``ause`` divided by the area between a random order (constant 1) and the oracle:
-            0 is perfect, 1 equals chance, more is worse than chance; 0 if all errors are equal.
+            0 is perfect, 1 is chance, > 1 is worse than chance; 0 if all errors are equal.
     """
 
     removed: np.ndarray

@@ -41,8 +41,8 @@ def psnr(estimate: Any, truth: Any) -> float:
 def texture_psnr(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, float]:
     """Return the PSNR in dB of every parameter, and their mean as ``average``.
 
-    The average is that in Table 2 of the paper: the mean of decibels over parameters, regardless
-    of their number of channels.
+    The average is defined as in Table 2 of the paper: the mean of the PSNRs of all parameters, each
+    with the same weight.
 
     Args:
         estimate: (T, C) or (T,) values by parameter, in [0, 1].
@@ -54,7 +54,7 @@ def texture_psnr(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[
 
 
 def texel_error(estimate: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
-    """Return mean absolute errors of texels, (T,): over channels, then over parameters.
+    """Return each texel's absolute error, (T,), averaged over channels, then parameters.
 
     Args:
         estimate: (T, C) or (T,) values by parameter.
@@ -82,8 +82,8 @@ class ImageError:
     """Errors of a picture compared with the true one.
 
     Attributes:
-        psnr_hdr: PSNR in dB of linear radiance, relative to the true picture's white and clipped
-            at 4; the peak is 1.
+        psnr_hdr: PSNR in dB of linear radiance, divided by the true picture's white level and
+            clipped at 4; the peak is 1.
         psnr_ldr: PSNR in dB of the tone-mapped pictures.
         ssim: Structural similarity of the tone-mapped pictures, at most 1.
     """

@@ -22,8 +22,8 @@ def trace(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return means of two independent halves of ``samples`` paths per ray: (P, 3) radiance each.
 
-    Lanes have different random numbers, but all materials share them: part of the noise cancels
-    in the differences between materials, which determine the posterior.
+    Random numbers differ between lanes, not between materials: part of the noise cancels in the
+    differences between materials, which determine the posterior.
     """
     count, half = dr.width(rays.o), samples // 2
     result = np.zeros((count, 2, 3))

@@ -35,7 +35,7 @@ class Prediction:
 
     Attributes:
         scene: Scene with the occluders.
-        model: Reflection model of the texels at even roughness levels on [0, 1].
+        model: Reflection model of the texels at evenly spaced roughness levels on [0, 1].
         draws: D draws from the posterior: a Float per channel by parameter.
         shares: Spline weights of the R levels for the roughness of each draw: R Floats.
     """

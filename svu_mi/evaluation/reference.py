@@ -83,10 +83,10 @@ class Reference(TracedTables):
         brightness: (n,) float64, mean observed grey radiance over the used views; 0 without any.
         coverage: (n,) int64, number of used views.
         scale: Mean grey radiance over all visible (texel, view) samples of the capture.
-        unit: Radiance that noise is relative to: ``scale``, or if 0, a fraction of the light's.
+        unit: Unit of noise levels, radiance: ``scale``; if 0, 1 % of the mean light.
         seconds: Time of tracing, device synchronised; cached with the result.
         cached: True if the result comes from the cache.
-        rays: Number of traced camera paths, for all psi together.
+        rays: Number of traced camera paths, summed over all materials psi.
         dropped: Number of visible (texel, view) pairs whose camera ray misses the texel.
         spp: Paths per psi and pair, both halves together.
         max_depth: Largest number of path edges, counted from the camera; 2 is direct light.

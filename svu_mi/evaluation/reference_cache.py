@@ -52,7 +52,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
     try:
         stored = read_arrays(path)
         if str(stored.pop("name", "")) != path.stem:
-            raise ValueError("it belongs to another capture or other options")
+            raise ValueError("the file belongs to another capture or to other options")
         _require_shapes(stored, options)
         values: dict[str, Any] = {k: x if x.ndim else x.item() for k, x in stored.items()}
         return Reference.of(TracedTables(**values), options, cached=True)

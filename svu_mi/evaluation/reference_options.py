@@ -60,14 +60,14 @@ class ReferenceOptions:
 
     @property
     def renders(self) -> int:
-        """Number of traced psi."""
+        """Number of materials psi to trace."""
         _, *others = self.grid.shape
         rows = len(self.levels)
         return rows * (len(CORNERS) if self.method == "linear" else int(np.prod(others)))
 
 
 def check_subset(subset: Any, count: int) -> int | np.ndarray:
-    """Return a number of texels, or valid texel indices, (n,) int64."""
+    """Check ``subset``; return it as a number of texels, or as (n,) int64 texel indices."""
     given = np.asarray(subset)
     whole = given.size > 0 and np.issubdtype(given.dtype, np.integer)
     if not whole or given.ndim > 1 or (given.ndim == 0 and given < 1):

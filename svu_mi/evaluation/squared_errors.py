@@ -1,10 +1,10 @@
-"""Squared errors of every psi against the observation, averaged over a texel's views.
+"""Squared errors of every material psi, averaged over a texel's views.
 
-The reference uses the mean of two independent renders A and B as r; each of them alone measures the
-noise. The square (b - r)^2 is biased by the variance of r. The product (b - A)(b - B) is unbiased
-but can be negative, and the psi with the most negative noise becomes a false minimum. Products give
-a worse entropy at 8 to 128 samples: at 32, the RMSE against 1024 samples is 0.065, and 0.042 with
-squares.
+The rendered radiance r is the mean of two independent renders A and B. The results of A alone and B
+alone indicate the noise. The square (b - r)^2 is biased by the variance of r. The product
+(b - A)(b - B) is unbiased but can be negative, and the psi with the most negative noise becomes a
+false minimum. Entropies from products are less accurate: with 32 samples, their RMSE relative to
+1024 samples is 0.065, and 0.042 with squares. The same holds for 8 to 128 samples.
 """
 
 from __future__ import annotations

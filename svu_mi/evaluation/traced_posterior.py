@@ -63,7 +63,7 @@ def reference_posterior(
             ``estimated``: the likelihood of the angular preset ``default``, in colour and summed
             over views; ignores ``sigma``.
         errors: Aggregation over views: ``mean``, or ``sum`` as printed in Eq. 3. For ``sum``, use
-            a larger ``sigma``, such as 0.4 of the preset ``paper``.
+            a larger ``sigma``, such as 0.4 (preset ``paper``).
         max_depth: Largest number of path edges; 2 is direct light.
         method: ``linear`` renders four psi per roughness and derives the others, which is exact
             for direct light; ``brute`` renders all.
@@ -172,7 +172,7 @@ def _renderer(
 def _choose_texels(
     wanted: int | np.ndarray, seen: Visibility, capture: Capture, seed: int
 ) -> np.ndarray:
-    """Return texel indices, (n,) int64; drawn ones are seen, and sorted for coherent rays."""
+    """Return texel indices, (n,) int64. A number draws from seen texels, sorted by index."""
     visible = np.flatnonzero(seen.coverage.numpy())
     if len(visible) == 0:
         raise CaptureError(

@@ -47,7 +47,7 @@ class VisiblePairs:
 
 
 def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> VisiblePairs:
-    """Return the visible pairs whose camera ray hits the texel; 100 bytes per texel and view."""
+    """Return the visible pairs whose camera ray hits the texel (100 bytes per texel and view)."""
     views, texels = observed.views, observed.texels
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
     place = lane // views.count
@@ -78,7 +78,8 @@ def _aim(
 ) -> tuple[Any, Any]:
     """Return rays from the cameras to the texels, and flags of active rays that hit the texel.
 
-    A hit may be off the texel's tangent plane by ``TOLERANCE``: rays leak, and sheets are thin.
+    Hits farther than ``TOLERANCE`` from the texel's tangent plane, such as on the back of a thin
+    sheet, are misses.
     """
     camera = mi.Point3f(
         *(dr.gather(mi.Float, views.cameras, view * CAMERA_FLOATS + 12 + k) for k in range(3))

@@ -134,7 +134,7 @@ def factor_and_forward(
 def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held: int) -> list[Any]:
     """Solve L^T x = z in place; return ``solution``.
 
-    All lanes start at tile row ``held``, not at their own ``blocks``: loads instead of gathers.
+    All lanes start at tile row ``held``, not at their own ``blocks``, which avoids gathers.
     """
     past = mi.UInt32(held)
     while past > 0:

@@ -57,7 +57,7 @@ class FitSamples:
         channels: number of channels C of the photographs, 1 or 3; 0: fit the light only.
         light_channels: number of channels of the light, C or 1.
         masking: function from cos theta_i and texel to F factors of the light; each factor adds
-            right-hand sides. Default: one factor of 1.
+            right-hand sides to the equations. Default: one factor of 1.
     """
 
     observed: FitSource
@@ -91,7 +91,7 @@ class FitSamples:
 
 @dataclass(frozen=True)
 class FitJob:
-    """Fits of all texels; ``counts`` are numbers of views, (T,)."""
+    """Fits of all texels; ``counts``, (T,), is the number of views of each texel."""
 
     observed: FitSource
     switches: Preset | Fit
@@ -102,7 +102,7 @@ class FitJob:
 
     @cached_property
     def launches(self) -> list[tuple[SolverGroup, TexelLanes]]:
-        """Texels of each solver."""
+        """Groups of texels that share a solver (``solver_groups``)."""
         groups = solver_groups(self.counts, self.switches.degree)
         return [(group, TexelLanes.of(self.observed.texels, group.selection)) for group in groups]
 

@@ -66,7 +66,7 @@ class SolverGroup:
 
 
 def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[SolverGroup]:
-    """Group texels by the fastest solver; ``primal`` or ``dual`` selects one."""
+    """Group texels by their fastest solver, or use only the ``primal`` or ``dual`` solver."""
     counts = np.asarray(visible).reshape(-1)
     limits = {
         "auto": min(int(VIEWS_PER_COEFFICIENT * (degree + 1) ** 2), AUTO_CAPACITY),
@@ -201,7 +201,7 @@ def _check_size(*counts: int) -> None:
 
 
 def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
-    """Return numbers of visible views; raise an error if a sample is invalid."""
+    """Return each texel's number of visible views; raise an error if a sample is invalid."""
     visible, first_bad = _count_visible(samples.at, dr.arange(mi.UInt32, texels), samples.views)
     dr.eval(visible, first_bad)
     bad = first_bad.numpy()
@@ -220,7 +220,7 @@ def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
 
 @dr.syntax
 def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
-    """Return numbers of visible views, and first invalid views (or ``views``)."""
+    """Return number of visible views and index of the first invalid view (else ``views``)."""
     visible, first_bad = mi.UInt32(0), mi.UInt32(views)
     view = mi.UInt32(0)
     while view < views:

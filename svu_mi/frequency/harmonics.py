@@ -127,7 +127,7 @@ def power_spectrum(coefficients: Any) -> Any:
         (T, lmax + 1, C) TensorXf, in squared radiance.
 
     Raises:
-        ShapeError: not three axes, or the length of the second axis is not a square.
+        ShapeError: not three axes, or the second axis has a length that is not a square.
 
     Example:
         >>> svu.power_spectrum(np.ones((5, 49, 3))).shape

@@ -42,7 +42,7 @@ class ShLobes:
 
     @staticmethod
     def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> ShLobes:
-        """Fit the light and convolve it with lobes; 4 n C bytes per texel and width."""
+        """Fit the light and convolve it with lobes; needs 4 n C bytes per texel and width."""
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
         values = light.allocate(len(alpha) * rows)
         for level, width in enumerate(alpha.tolist()):
@@ -142,7 +142,7 @@ def _widths(roughness: Any) -> tuple[Any, Any]:
 
 
 def _square(light: MirroredLight, alpha: Any) -> Any:
-    """Return alpha^2; minus the band limit alpha'^2 of the light with ``undo_prefilter``."""
+    """Return alpha^2, or alpha^2 - alpha'^2 with ``undo_prefilter`` (light's band limit)."""
     undone = light.observed.lighting.prefilter**2 if light.fit.undo_prefilter else 0.0
     maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
     return maximum(alpha * alpha - undone, 0)

@@ -150,9 +150,10 @@ def fit_candidates(
     known: tuple[ReadSample, Any], added: tuple[ReadSample, Any], system: FitSystem,
     take: TakeSpectrum,
 ) -> list[list[Any]]:  # fmt: skip
-    """Return the ``known`` samples' spectrum; call ``take`` with each candidate.
+    """Return the spectrum of the ``known`` samples; pass that of each candidate to ``take``.
 
-    ``known`` and ``added`` are sample functions and numbers of samples.
+    ``known`` and ``added`` are pairs of a sample function and the number of samples. A candidate's
+    spectrum is that of the known samples and one added sample.
     """
     system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
     solved = SolvedSystem.of(*known, system)

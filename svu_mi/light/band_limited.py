@@ -28,7 +28,7 @@ class Lighting:
     Attributes:
         prefilter: Width alpha' = v^(-1/2) of the band limit.
         to_local: Rotation from world space to the light's frame, Matrix3f.
-        lobes: Cache of ``filter_light``: Texture2f by lobe.
+        lobes: Cache of ``filter_light``, with a Texture2f for each lobe.
     """
 
     environment: Environment
@@ -38,7 +38,7 @@ class Lighting:
 
     @property
     def degree(self) -> int:
-        """Highest degree above the band limit's threshold."""
+        """Highest degree that band-limiting does not attenuate to less than NEGLIGIBLE."""
         degree = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / self.prefilter))
         return int(np.clip(degree, MIN_DEGREE, MAX_DEGREE))
 

@@ -28,7 +28,7 @@ def emitter_label(emitter: Any) -> str:
 
 
 def envmap_pixels(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
-    """Return pixels (H, W, 3) of an ``envmap``; ``otherwise`` for others."""
+    """Return pixels (H, W, 3) of an ``envmap``, or ``otherwise`` for other emitters."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return otherwise
     data = mi.traverse(emitter)["data"]
@@ -62,7 +62,7 @@ BAND = 2**17  # nodes sampled at once, 20 MB
 
 
 def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes; average to ``MAX_SIZE`` at most."""
+    """Sample an emitter at lat-long nodes; average larger grids to ``MAX_SIZE``."""
     across, down = min(columns, MAX_SIZE[0]), min(rows, MAX_SIZE[1])
     solid = quadrature(rows)
     flux, weight = np.zeros((down, across, 3)), np.zeros(down)

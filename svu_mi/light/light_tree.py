@@ -167,7 +167,7 @@ def disk_cells(environment: Environment) -> LightCells | None:
 
 
 def _edges(owner: np.ndarray) -> np.ndarray:
-    """Return bounds of runs of equal numbers, split above LARGEST."""
+    """Return the bounds of runs of equal numbers; runs longer than LARGEST are split."""
     begins = np.flatnonzero(np.diff(owner, prepend=-1) != 0)
     ends = np.append(begins[1:], len(owner))
     cut = [np.arange(a, b, LARGEST) for a, b in zip(begins, ends, strict=True)]
@@ -206,7 +206,7 @@ def cell_radiance(environment: Environment, count: int) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
-    """Return the cell of each node of a map, (columns * rows,); cached by size."""
+    """Return the index of the cell of each map node, (columns * rows,); cached."""
     return nearest_cells(latlong.directions(columns, rows).reshape(-1, 3), count)
 
 
@@ -225,7 +225,7 @@ def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Ligh
 
 
 def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split clusters; return the cluster of each point, and parents."""
+    """Split clusters; return the cluster of each point, and the parent of each cluster."""
     label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
     heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]
     for new in range(1, count):
@@ -246,7 +246,7 @@ def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
-    """Return the nearest point of ``fibonacci(count)`` by direction, (N,)."""
+    """Return the index of the point of ``fibonacci(count)`` nearest each direction, (N,)."""
     return np.asarray(scipy.spatial.cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
 
 

@@ -1,7 +1,8 @@
 """Visibility of light cells from texels: one traced bit per texel and cell.
 
-All coarse cells are traced. A fine cell inherits the bit of its coarse cell. It is traced instead
-if the coarse cell is below the horizon, or if it is bright and its group is partly hidden.
+All coarse cells are traced. A fine cell inherits the bit of its coarse cell, with two
+exceptions that are traced: its coarse cell is below the horizon, or the fine cell is bright and its
+group of coarse cells is partly hidden.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ class LightVisibility:
 def trace_light_visibility(
     scene: Any, surface: TexelLanes, tree: LightTree, *, occluded: bool = True
 ) -> LightVisibility:
-    """Trace light cells from texels; ``occluded=False`` ignores occlusion."""
+    """Trace light cells from texels; with ``occluded=False``, only test the horizon."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(tree.coarse.number, count)
     fine = Bits.clear(tree.fine.number, count)

@@ -157,7 +157,7 @@ class LightStack:
     to_local: Any
 
     def radiance(self, place: Any, direction: Any) -> list[Any]:
-        """Look up light *from* a world direction between levels, by channel."""
+        """Look up light *from* a world direction, interpolated between levels."""
         u, v = lat_long(self.to_local @ mi.Vector3f(direction))
         level = dr.clip(mi.Int32(dr.detach(place)), 0, self.count - 2)
         here, above = (self._at(mi.UInt32(level + step), u, v) for step in (0, 1))

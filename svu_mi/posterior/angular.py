@@ -1,7 +1,7 @@
 """Posterior from angular statistics (Eq. 3 to 6, without a frequency domain).
 
 Bins are grouped into rows: bins of a row differ only in the last parameter (base colour or Ks). On
-a (roughness, Ks) grid, a row is a roughness, and Kd is the best value in [0, 1] for each Ks.
+a (roughness, Ks) grid, each roughness is a row, and Kd is the best value in [0, 1] for each Ks.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class AngularProblem:
 
     Attributes:
         copies: number of equal colour channels per channel of the factors.
-        slots: (R,) UInt32, level of the factors for each roughness of the grid.
+        slots: (R,) UInt32, index of the factors' level for each roughness of the grid.
         rows: UInt32, rows of the grid that the prior does not exclude.
         total: number of bins.
         sigma: Float, opaque, standard deviation of a texel's error in radiance.
-        averaged: True: d is the mean of squared errors over views; False: their sum.
+        averaged: True: energies use the mean of squared errors over views; False: the sum.
         mixed: (M,) nodes of each parameter in ``MIXED``; None on a (roughness, Ks) grid.
         bins: nodes of the last parameter, base colour or Ks.
         prior: -log prior of rows (Float64) and of bins given their row (Float); None: uniform.
@@ -105,7 +105,7 @@ class AngularKernel(GridKernel):
 
 
 def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
-    """Return a grid over the preset's parameters; default: 8 nodes each, dielectric Ks."""
+    """Return ``grid``, or a default grid with 8 nodes for each of the preset's parameters."""
     kind = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
     grid = kind() if grid is None else grid
     if not isinstance(grid, kind):
@@ -144,7 +144,7 @@ def angular_posterior(
         prior: non-negative weights in the grid's shape, or one per roughness node.
         copies: number of equal colour channels per channel of the statistics.
         levels: (R,) bool, roughness nodes that the statistics contain; default: all. The prior
-            must exclude the others.
+            must exclude all other nodes.
         texels: number T of texels, seen or not; default: the largest texel number plus one.
 
     Raises:
@@ -235,7 +235,7 @@ def _row_energies(problem: AngularProblem, lane: Any) -> row_entropy.RowEnergies
 
 
 def _bins(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
-    """Return |U x|^2 of each bin of a row: squared error over 2 sigma^2 (``Factors``)."""
+    """Return the squared error |U x|^2 (``Factors``) of each bin of a row."""
     nodes = [mi.Float(node) for node in row_entropy.bin_values(problem.bins)]
     if problem.mixed is None:
         return [_error_at_best_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
@@ -245,7 +245,7 @@ def _bins(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
 
 
 def _error_at_best_diffuse(U: list[Any], mix: Mixture) -> Any:
-    """Return the error at the best Kd in [0, 1]; only the first component depends on Kd."""
+    """Return |U x|^2 at the best Kd in [0, 1]; only the first component depends on Kd."""
     first, *others = apply_factor(U, mix.offset)[:-1]
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)

@@ -100,7 +100,7 @@ class CalibratedPrior(Prior):
         return drawn
 
     def _parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return ends and prior probability of a parameter's N parts: (N,) each."""
+        """Return low end, high end and prior probability of a parameter's N parts: (N,) each."""
         of_bins = self.marginal(name)
         if name == "base_color":
             edges = self.problem.edges
@@ -231,7 +231,7 @@ class CalibratedKernel(Kernel):
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
-        """Sample parameters; independent of the other requested texels (see ``Kernel``)."""
+        """Sample parameters (see ``Kernel``); draws of a texel do not depend on other texels."""
         problem, lanes, names = self.problem, self.lane[texels], list(self.grid.axes)
         index = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         total = dr.gather(mi.Float, self.summary.total, index)
@@ -254,7 +254,7 @@ class CalibratedKernel(Kernel):
 
     @property
     def _common(self) -> np.ndarray:
-        """``common`` per base colour channel, (3,) or (1,)."""
+        """Attribute ``common`` as an array with a value per base colour channel, (3,) or (1,)."""
         return np.asarray(self.common) if self.channels > 1 else np.mean(self.common, keepdims=True)
 
 
@@ -273,7 +273,7 @@ def calibrated_posterior(
     """Compute the posterior with noise estimated from the residual of each texel.
 
     Args:
-        statistics: statistics of S texels at even roughness levels on [0, 1], or their factors.
+        statistics: statistics of S texels at evenly spaced roughness levels on [0, 1], or factors.
         grid: grid of the bins; default: 8 x 8 x 8.
         scale: radiance unit, such as the mean of the photographs.
         preset: name or options.
@@ -282,12 +282,12 @@ def calibrated_posterior(
             equal weights, because the outermost bins are half as wide as the others.
         copies: number of equal colour channels per channel of the statistics.
         texels: number T of texels, seen or not; default: the largest texel number plus one.
-        light_uncertainty: uncertainty of the light; its scale is common to all base colours.
+        light_uncertainty: uncertainty of the light; an error of its scale affects all base colours.
         rounding: (S,) minimum of the noise variance (``Observed.rounding``), squared radiance.
 
     Raises:
         OptionError: a preset of another method, or an invalid scale or prior.
-        ShapeError: the shape of the prior differs from the grid's, or levels are not even.
+        ShapeError: the prior's shape differs from the grid's, or levels are not evenly spaced.
 
     Example:
         >>> observed = estimate.observed

@@ -24,7 +24,7 @@ from svu_mi.statistics.texel_blocks import BLOCK, block_size, texel_offset
 def min_energy(problem: CalibratedProblem, *, excess: bool = False) -> Any:
     """Return the least energy of all nodes, (S,) Float.
 
-    ``excess`` adds the prior and subtracts ``problem.min_energy``.
+    With ``excess``, energies include the prior and are relative to ``problem.min_energy``.
     """
     integrator, columns = NodeIntegrator(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
@@ -68,7 +68,7 @@ class PosteriorSummary:
 
 @dataclass
 class MomentSums:
-    """Weighted sums of parameters and their squares: a Float64 each."""
+    """Weighted sums of parameters and of their squares, one Float64 per parameter."""
 
     sums: list[Any]
     squares: list[Any]
@@ -310,8 +310,11 @@ def color_masses(
     problem: CalibratedProblem, parts: QuadratureAxis, chosen: np.ndarray,
     channel: np.ndarray | None = None,
 ) -> list[Any]:  # fmt: skip
-    """Return masses of K parts of base colour per channel (see ``node_masses``), or only of
-    ``channel``, (t,) int64, of each texel, which requires a uniform colour prior."""
+    """Return masses of K parts of base colour, for each channel (see ``node_masses``).
+
+    With ``channel``, (t,) int64, only this channel of each texel is integrated, and the prior of
+    base colour must be uniform.
+    """
     edges = np.append(parts.low, parts.high[-1])
     only = None if channel is None else to_drjit(mi.UInt32, channel.astype(np.uint32))
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), edges, only)

@@ -22,15 +22,15 @@ NEVER = 1e30  # stands for -log 0
 
 @dataclass(frozen=True)
 class CalibratedProblem:
-    """Inputs of a calibrated posterior. Rows are bins of all but base colour.
+    """Inputs of a calibrated posterior. A row is a bin of all parameters but base colour.
 
     Attributes:
         copies: number of equal colour channels per channel of the factors.
-        edges: (K + 1,) edges of the base colour bins; two equal edges if it is known.
+        edges: (K + 1,) edges of the base colour bins; two equal edges if base colour is known.
         rows: (R * M,) float64, -log prior of each row.
         color_prior: (R * M * tables * K,) Float, density of base colour in a row; None: uniform.
         scale: (S,) or (1,) Float, sqrt(W / (s^2 tau)): converts the factors to units of noise.
-        min_energy: (S,) Float, energy of the best node without the residual floor.
+        min_energy: (S,) Float, smallest energy of all nodes, without the residual floor.
         tables: number of colour priors: 1 (shared by all channels) or one per channel.
     """
 
@@ -73,7 +73,7 @@ class CalibratedProblem:
         return self.color_prior is not None and float(dr.min(self.color_prior)[0]) > FULL_SUPPORT
 
     def subset(self, chosen: np.ndarray) -> CalibratedProblem:
-        """Return the problem of some lanes in [0, S)."""
+        """Return the problem of the lanes ``chosen``, in [0, S)."""
         lanes = to_drjit(mi.UInt32, chosen)
         return replace(
             self, factors=self.factors.subset(chosen),
@@ -113,7 +113,7 @@ class NodeTables:
     """Node tables on the device: N roughness nodes ("rows"), L mixing nodes ("columns").
 
     Attributes:
-        levels, weights: (N * 4,) UInt32 and Float, spline between roughness levels.
+        levels, weights: (N * 4,) UInt32 and Float, levels and spline weights of roughness nodes.
         rows: values of the N roughness nodes.
         columns: values of the L mixing nodes, for each mixing parameter.
         row, column: (N,), (L,) UInt32, bin of each node.
@@ -155,7 +155,7 @@ class NodeTables:
 
 
 def spline_weights(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return levels and weights of Catmull-Rom interpolation, (N, 4) int64 and float64.
+    """Return level indices and weights of Catmull-Rom interpolation, (N, 4) int64 and float64.
 
     ``levels`` are (R,) ascending and uniform; values beyond them are clamped.
     """

@@ -6,7 +6,7 @@ each step the new prior is the mean of the posteriors under the current one,
     p(psi) <- mean over texels of p(psi | B_p, L).
 
 This replaces the paper's global sharing (Sec. 5.2), without seeds: texels share probabilities, not
-values. The mean is blurred by the uncertainty of each texel, so it is sharpened by a power.
+values. The mean is blurred by the uncertainty of each texel, so it is raised to a power > 1.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class Estimate:
         """Normalised entropy, (T,) in [0, 1] (Eq. 5).
 
         Unseen texels have the prior's entropy, which is 1 unless ``prior`` is given. It is always
-        1 if entropies are relative to the prior's (angular ``default`` and ``fast``).
+        1 if entropies are divided by the prior's (angular ``default`` and ``fast``).
         """
         return self.posterior.entropy()
 

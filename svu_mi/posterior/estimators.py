@@ -57,7 +57,7 @@ def statistics_posterior(
 def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
     """Return the posterior of more texels than one tile holds.
 
-    Results other than maps recompute statistics, unless ``inputs.whole`` keeps all in memory.
+    Statistics are computed again for results other than maps, unless ``inputs.whole`` keeps them.
     """
     if inputs.whole:
         return _joined_tiles(inputs, switches)
@@ -74,7 +74,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
 
 
 def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Return the posterior of all texels, with sums of one tile at a time."""
+    """Return the posterior of all texels; keep the sums of only one tile in memory."""
     seen, texels = inputs.observed, inputs.observed.seen
     if not _uses_all(seen, switches):
         texels = np.flatnonzero(seen.coverage)
@@ -102,7 +102,7 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
 
 
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:
-    """Return the posterior of some texels, renumbered from 0."""
+    """Return the posterior of ``texels``, which get the numbers 0, 1, ... in the result."""
     part = inputs.observed.subset(texels)
     own = np.arange(len(texels))
     if not _uses_all(part, switches):
@@ -163,7 +163,7 @@ def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:
 
 
 def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
-    """Return the statistics' roughness levels: even, or planned grid nodes."""
+    """Return the statistics' roughness levels: evenly spaced, or the planned grid nodes."""
     nodes = inputs.grid.roughness_nodes
     if switches.noise == "estimated" and len(nodes) > 1:
         return np.linspace(0, 1, switches.levels)

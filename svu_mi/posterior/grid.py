@@ -66,7 +66,7 @@ class ParameterGrid:
             )
 
     def resolved(self, preset: Preset) -> ParameterGrid:
-        """Return the grid with the preset's spacing if it has none."""
+        """Return the grid; a ``spacing`` of None is replaced by the preset's."""
         return self if self.spacing else replace(self, spacing=preset.spacing)
 
     @property

@@ -43,7 +43,7 @@ def shortest_interval(
     wanted = total * dr.minimum(dr.opaque(mi.Float, level), 1 - 1e-6)
 
     def move(first: Any, end: Any, held: Any, best: Any, a: Any, b: Any) -> tuple[Any, ...]:
-        """Append a part if mass is missing; else compare and remove the first part."""
+        """Append a part to a run of too little mass; else keep the shorter run and drop a part."""
         enough = held >= wanted
         width = dr.gather(mi.Float, high, dr.maximum(end, 1) - 1) - dr.gather(mi.Float, low, first)
         better = enough & (width < best)

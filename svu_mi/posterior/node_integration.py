@@ -138,7 +138,7 @@ class NodeIntegrator:
         return self.problem.copies * sum(energies)
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
-        """Return min(``best``, node's energy with prior above ``min_energy``): Float."""
+        """Return the smaller of ``best`` and energy - log prior - ``min_energy`` of a node."""
         energy, parts = self._channels(U, row, column)
         if self.problem.color_prior is not None and not self._color_is_known:
             energy = dr.if_stmt(
@@ -149,7 +149,7 @@ class NodeIntegrator:
         return dr.minimum(energy, best)
 
     def draw_colors(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
-        """Sample base colours at a node, per channel with copies; ``random``: two Floats each."""
+        """Sample a base colour per channel and copy at a node, from two Floats ``random`` each."""
         problem = self.problem
         number = problem.factors.channels * problem.copies
         if self._color_is_known:

@@ -8,9 +8,9 @@ radiance. The noise level s of a texel follows from the residual of its best par
 under a prior of nu samples with the median texel's variance s_0^2 (Student's t, nu degrees).
 
 Five parameters fit the samples of five views exactly, so t rises from 0 at 5 views to 1 at 8.
-Likewise, log s_0 moves from the assumed value to the median of texels with 2 x 5 samples as the
-mean of t rises to 1/2. Exception: if the residual exceeds s_0, t = 1 for any number of views (for
-s_0 itself: if the median residual exceeds the assumed value).
+Likewise, log s_0 is interpolated: it is the assumed value if the mean of t is 0, and the median of
+texels with at least 10 samples if it is 1/2 or more. Exceptions: t is 1 if a texel's residual
+exceeds s_0, and s_0 is the median if the median exceeds the assumed value.
 
 Errors of neighbouring views are correlated: N samples count as N / tau (overdispersion tau). The
 constants were chosen on the example scenes (notebooks/design/calibration.md).

@@ -74,17 +74,17 @@ class Observed:
     _light_visibility: dict[Any, LightVisibility] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
-        """Return a copy with (t,) texels to compute; it shares the light."""
+        """Return a copy that computes only (t,) ``texels``, with the same light."""
         return replace(self, seen=texels, _light_visibility={})
 
     @cached_property
     def coverage(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel unsaturated."""
+        """(T,) uint32, number of photographs in which each texel is visible and not saturated."""
         return np.array(self.visibility.coverage)
 
     @cached_property
     def clipped_coverage(self) -> np.ndarray | None:
-        """(T,) uint32, number of photographs that show each texel saturated; None if none do."""
+        """(T,) uint32, number of photographs in which a texel is saturated; None if never."""
         seen = self.visibility
         return None if seen.clipped is None else np.asarray(seen.clipped_coverage)
 
@@ -101,7 +101,7 @@ class Observed:
 
     @cached_property
     def unit(self) -> float:
-        """Radiance unit: mean of the photographs; 1 % of the light's if they are black."""
+        """Radiance unit: mean of the photographs, or 1 % of the mean light if they are black."""
         return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
     @property
@@ -186,7 +186,7 @@ class Observed:
     ) -> Statistics:  # fmt: skip
         """Gather the statistics of texels (default: ``seen``) over all photographs.
 
-        ``channels`` is 3, or 1 for their mean. Saturated samples count as lower bounds
+        ``channels`` is 3, or 1 for the mean of R, G and B. Saturated samples count as lower bounds
         (``censored``) if ``weighting`` has a finite kappa and no ``current``, else are ignored.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
@@ -204,7 +204,7 @@ class Observed:
         return self._gather(model, channels, weighting).factor()
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
-        """Return the rounding variance of samples, (S,) squared radiance; None for floats."""
+        """Return the rounding variance, (S,) squared radiance; None: floating-point photographs."""
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
@@ -267,7 +267,7 @@ class Observed:
 def observe(
     capture: Capture, texels: Texels, progress: Progress | None = None, skip: Skip | None = None
 ) -> Observed:
-    """Trace the visibility of texels in a capture's views; ``skip`` only saves time."""
+    """Trace the visibility of texels in a capture's views; ``skip`` does not change results."""
     progress, skip = progress or Progress(), skip or Skip()
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
@@ -285,7 +285,7 @@ def observe(
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
-    """Check (V,) numbers of visible texels: warn of zeros, raise if all are 0."""
+    """Check (V,) numbers of visible texels; warn of views without any, raise if all are 0."""
     if not counts.any() and clipped:
         raise CaptureError(
             f"All texels of '{capture.shape.id()}' are saturated in all {len(counts)} photographs; "

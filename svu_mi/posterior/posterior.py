@@ -177,8 +177,8 @@ class Posterior(Generic[K]):
     def map(self, chosen: Any | None = None) -> dict[str, Any]:
         """Return the most probable bin, by parameter: (t,), or (t, 3) per channel.
 
-        Unseen texels get the most probable bin of the prior; of several, the one nearest to the
-        middle of the grid.
+        Unseen texels get the most probable bin of the prior. If several are equally probable,
+        the one nearest to the middle of the grid is used.
 
         Args:
             chosen: (t,) indices of texels; default: all.

@@ -39,7 +39,7 @@ class QuadratureAxis:
 
     @property
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of parts in intervals, (N,) float64; point masses have a width of NEAR_ENOUGH."""
+        """Low and high ends of parts, (N,) float64; point masses are widened by NEAR_ENOUGH."""
         if self.count == 1:
             return self.low, self.high
         margin = np.where(self.low == self.high, NEAR_ENOUGH, 0)
@@ -144,7 +144,7 @@ def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
 
 
 def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis:
-    """Divide bins as ``uniform_axis``; add point masses at 0 and 1, ``extremes`` in total."""
+    """Divide bins as ``uniform_axis``; add point masses at 0 and 1 of total ``extremes``."""
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between

@@ -2,8 +2,8 @@
 
 A row is a bin of the parameters that all channels share (roughness and metallic, or roughness).
 Bins of a row differ in the last parameter (base colour or Ks). Each group of channels has a
-separate value, independent of the other groups given the row. The entropy is computed over
-(row, last parameter) for each group and averaged.
+separate value of the last parameter, independent of the other groups given the row. The entropy is
+computed over (row, last parameter) for each group and averaged.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def log_prior(
 
 
 def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
-    """Return weights as float64, in any shape."""
+    """Convert the prior's weights to float64; raise an error if they are not numbers."""
     try:
         weights = np.asarray(prior)
         if weights.dtype.kind not in "fiub":  # NumPy would parse text and drop imaginary parts

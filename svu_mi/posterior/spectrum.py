@@ -197,7 +197,7 @@ def spectrum_grid(
         raise OptionError(f"The grid must be a ParameterGrid or a PrincipledGrid, got {grid!r}.")
     if not irradiance:
         raise OptionError(
-            "spectrum_posterior(): a PrincipledGrid needs the irradiance; give it, or use a "
+            "spectrum_posterior(): a PrincipledGrid needs the irradiance; pass it, or use a "
             "ParameterGrid."
         )
     if switches.channels == "sum":

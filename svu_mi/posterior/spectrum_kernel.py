@@ -42,7 +42,7 @@ class ConstantTerm:
 
 @dataclass(frozen=True)
 class SpectrumProducts:
-    """Products of spectra / (2 sigma^2) of a texel, summed over the channels of a group."""
+    """Products of a texel's spectra, summed over the channels of a group, over 2 sigma^2."""
 
     light: list[Any]  # S_L(l)^2
     both: list[Any]  # S_L(l) S_B(l)
@@ -57,7 +57,7 @@ class SpectrumProblem:
         incoming, outgoing: (T * (L + 1) * C,) Float, power spectra.
         sigma: Float64, standard deviation of the power of a degree.
         groups: indices of the channels that share one Ks, for each Ks.
-        rows: UInt32, rows that the prior does not exclude.
+        rows: UInt32, indices of the rows that the prior does not exclude.
         decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), per roughness.
         prior: -log prior of rows, (rows,), and of bins given their row, (rows * bins,), Float64.
     """

@@ -31,7 +31,7 @@ class TiledKernel(Kernel):
     Attributes:
         observed: (T,) bool, mask of seen texels; only these can be requested.
         make: function from (t,) texels to a kernel, which numbers them from 0 to t - 1.
-        report: callback with the numbers of finished and of all texels, in the first pass.
+        report: callback for progress of the first pass: number of finished texels, number of all.
     """
 
     grid: Grid
@@ -138,7 +138,7 @@ class TiledKernel(Kernel):
         return moments
 
     def _keep(self, moments: Moments, texels: np.ndarray, tile: Kernel) -> None:
-        """Copy the moments of a tile into ``moments``."""
+        """Copy the moments of a tile's texels into the arrays ``moments`` of all texels."""
         for name in self.grid.axes:
             found = tile.moments(name, np.arange(len(texels)))
             shape = (self.count, found[0].shape[1])
@@ -148,7 +148,7 @@ class TiledKernel(Kernel):
                 table[texels] = values
 
     def _keep_widths(self, texels: np.ndarray, tile: Kernel) -> None:
-        """Cache half-widths of the sample; later, all photographs would be read again."""
+        """Cache half-widths of a sample of texels, so that photographs are not read again later."""
         own = np.flatnonzero(np.isin(texels, self._sample, assume_unique=True))
         place = np.searchsorted(self._sample, texels[own])
         for name in self.grid.axes if len(own) else ():

@@ -97,7 +97,7 @@ class ChannelLikelihood:
         return self._integrals(mass, parts, mean, variance)
 
     def _whole(self, kind: Any) -> tuple[Any, ...]:
-        """Return tails above y = 0 and y = 1, difference, and mean and variance of y."""
+        """Return the tails above y = 0 and y = 1, their difference, and mean and variance of y."""
         first, last = self._tail(kind(0)), self._tail(kind(1))
         whole = first.beyond - last.beyond
         mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
@@ -114,7 +114,7 @@ class ChannelLikelihood:
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """Integrate 5 x faster than ``integrate_with_prior``, above FULL_SUPPORT."""
+        """Integrate as ``integrate_with_prior``, 5 x faster; the prior exceeds FULL_SUPPORT."""
         first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
@@ -146,7 +146,7 @@ class ChannelLikelihood:
     def integrate_with_prior(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """Return log of the integral of exp(min_energy - E) times the prior, and bins of sum 1.
+        """Return the log integral of exp(min_energy - E) times the prior, and bin fractions.
 
         ``prior`` are K Floats, the density of c in each bin; it can contradict the likelihood.
         """
@@ -264,8 +264,8 @@ class ColorIntegrals:
 
 @dataclass(frozen=True)
 class _Tail:
-    """Density at y, and 2 / sqrt(pi) times integrals over x from y to infinity: on the side away
-    from the mean (``outward``), and upwards (``beyond``)."""
+    """Density at y, and 2 / sqrt(pi) times its integrals over x: from y away from the mean
+    (``outward``), and from y to infinity (``beyond``)."""
 
     y: Any
     density: Any

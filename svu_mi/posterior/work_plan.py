@@ -82,7 +82,7 @@ def make_plan(
 def with_known(
     grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | str | None, shape: Any
 ) -> Any:
-    """Return the grid with known values; ``"scene"``: the material's constants."""
+    """Return the grid with known values; ``"scene"`` selects the material's constants."""
     constants = constant_parameters(shape)
     constants = {name: value for name, value in constants.items() if name in grid.axes}
     if isinstance(known, str):

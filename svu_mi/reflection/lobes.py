@@ -43,7 +43,7 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _gaussian(alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return angles in [0, pi], and sum_l (2 l + 1) exp(-(alpha l)^2) P_l, 1 at the centre."""
+    """Return angles in [0, pi], and sum_l (2 l + 1) exp(-(alpha l)^2) P_l divided by its peak."""
     angle = np.pi * np.linspace(0, 1, ANGLES) ** 2  # denser at the centre, for narrow lobes
     l = np.arange(int(np.ceil(SERIES / alpha)) + 1)
     decay = (2 * l + 1) * np.exp(-((alpha * l) ** 2))
@@ -94,7 +94,7 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
 
 
 def reciprocals(values: list[Any]) -> list[Any]:
-    """Return 1 / x of each number by a single division [Montgomery 1987]; all far from 0."""
+    """Return 1 / x of numbers not near 0, by a single division [Montgomery 1987]."""
     below = list(accumulate(values, lambda product, x: product * x))
     rest, inverses = dr.rcp(below[-1]), []
     for x, product in zip(values[:0:-1], below[-2::-1], strict=True):
@@ -114,7 +114,7 @@ def dielectric_fresnel(cosine: Any) -> Any:
 
 
 def view_albedo(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
-    """Return albedos (A, B, D) by Fresnel at theta_o: metals R0 A + B, dielectrics D (Eq. 6)."""
+    """Return (A, B, D) at theta_o (Eq. 6): a metal's albedo is R0 A + B, a dielectric's D."""
     masking = smith_g1(cosine, alpha)
     schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
     A, B = masking * (1 - schlick), masking * schlick
@@ -128,7 +128,7 @@ def _root(like: Any) -> Any:
 
 
 def dominance(alpha: Any) -> Any:
-    """Return a lobe's direction between normal (0) and mirror (1) [Lagarde, de Rousiers 2014]."""
+    """Return the weight of the mirror direction in a lobe's centre [Lagarde, de Rousiers 2014]."""
     if not dr.is_array_v(alpha):
         return (1 - alpha) * (np.sqrt(np.maximum(1 - alpha, 0)) + alpha)
     # Clamped, because the derivative of the root is infinite at alpha = 1.

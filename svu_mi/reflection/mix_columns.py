@@ -19,7 +19,7 @@ def combine_parts(
     diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
     light: list[Any],
 ) -> list[Parts]:  # fmt: skip
-    """Return parts by channel from diffuse shading (a, b), albedos and lobe light."""
+    """Return the parts (e, p, q, d) of each channel; ``reflected`` are albedos (A, B, D)."""
     A, B, D = reflected
     return [
         (dr.fma(roughness, b, a), A * value, B * value, D * value)

@@ -54,7 +54,7 @@ class NarrowLobes:
         lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int,
         *, disk: bool = True,
     ) -> NarrowLobes:  # fmt: skip
-        """Prefilter the light; ``disk`` False sums the sun's disk separately."""
+        """Prefilter the light. If ``disk`` is False, the sun's disk is summed separately."""
         profile = lobe_profile(switches.lobe)
         return NarrowLobes(
             switches=switches,
@@ -66,7 +66,7 @@ class NarrowLobes:
         )
 
     def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
-        """Return reflected light by width; ``free``: mirror direction unoccluded."""
+        """Return light reflected by each width's lobe; 0 where the mirror ray is not ``free``."""
         mirror = mirror_direction(normal, direction)
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):
@@ -99,7 +99,7 @@ class NarrowLobes:
         ]  # type: ignore[misc]
 
     def _reflected(self, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
-        """Return albedos (A, B, D): metals of R0 reflect R0 A + B, dielectrics D."""
+        """Return (A, B, D): the albedo of a metal is R0 A + B, of a dielectric D."""
         rule = self.switches.fresnel
         if rule != "split_sum":
             return view_albedo(rule, cosine, alpha)

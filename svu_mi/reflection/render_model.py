@@ -1,4 +1,4 @@
-"""Reflection model for rendering: any roughness per lane, prefiltered light, no rays.
+"""Reflection model for rendering: a roughness per lane, prefiltered light, no rays traced.
 
 Prefiltered light and albedo are interpolated linearly between two roughness levels. An oblique lobe
 is replaced by a symmetric one of equal solid angle, with width alpha sqrt(cos theta_h).
@@ -81,8 +81,9 @@ def shade(
 ) -> list[Parts]:
     """Return the parts (e, p, q, d) of each channel for one view per lane.
 
-    ``moments`` are diffuse moments (``LightVisibility.diffuse``). ``to_moments`` rotates world
-    space to their frame. ``visible(mirror, alpha)`` returns the visibility of the lobe.
+    ``moments`` are diffuse moments (``LightVisibility.diffuse``). ``to_moments`` rotates
+    world space to the frame of ``moments``. ``visible(mirror, alpha)`` returns the visibility of
+    the lobe.
     """
     normal, rule = mi.Vector3f(normal), model.switches.diffuse
     cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)
@@ -113,7 +114,7 @@ def _narrower(model: PrefilteredModel, center: Any, direction: Any) -> Any:
 def _reflected(
     model: PrefilteredModel, place: Any, alpha: Any, cosine: Any
 ) -> tuple[Any, Any, Any]:
-    """Return albedos (A, B, D): metals of R0 reflect R0 A + B, dielectrics D."""
+    """Return (A, B, D): the albedo of a metal is R0 A + B, of a dielectric D."""
     rule = model.switches.fresnel
     if rule == "split_sum":
         level = dr.clip(mi.Int32(dr.detach(place)), 0, model.light.count - 2)

@@ -2,8 +2,9 @@
 
 Directions are sampled from the light and the specular lobe. One is selected for diffuse and one for
 specular reflection (resampled importance sampling [Talbot et al. 2005], balance heuristic). Their
-visibility, 0 or 1, multiplies the known unshadowed integrals, which has low variance. Normalising
-few weights is biased: surfaces whose brightest light is occluded are up to 10 % too bright.
+visibility, 0 or 1, multiplies the known unshadowed integrals, which has low variance. The
+weights of few samples are normalised, which makes surfaces up to 10 % too bright if their brightest
+light is occluded.
 """
 
 from __future__ import annotations

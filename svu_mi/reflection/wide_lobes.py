@@ -39,14 +39,14 @@ class _CellAngles(NamedTuple):
 
 
 class LobeSums:
-    """Sums of cells under lobes of K ascending widths (not a dataclass: opaque to loops)."""
+    """Sums of cells under lobes of K ascending widths (not a dataclass: no state of loops)."""
 
     def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels
         self.normal, self.direction = normal, direction
 
     def integrate(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
-        """Return lobes summed over all cells; ``add(cell, sums)`` returns next cell and sums."""
+        """Sum lobes over all cells; ``add(cell, sums)`` returns the next cell and new sums."""
         size = 3 * self.channels
         sums = dr.alloc_local(mi.Float, size * len(self.alpha))
         for k in range(size * len(self.alpha)):
@@ -71,7 +71,7 @@ class LobeSums:
     def add(
         self, cells: LightCells, cell: Any, angles: _CellAngles, free: Any, sums: Any
     ) -> tuple[Any]:
-        """Add one cell to the lobe of each width where ``free`` (visible)."""
+        """Add one cell to the lobe of each width, only in lanes where it is visible (``free``)."""
         _, square, incident, up, across = angles
 
         def reflected(sums: Any) -> tuple[Any]:

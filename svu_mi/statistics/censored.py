@@ -48,7 +48,7 @@ class BestModels:
     Attributes:
         values: (S * R * (M + C),) Float: mixing parameters and base colours of each level.
         sigma: (S,) Float, standard deviation of a sample of weight 1.
-        samples: bits of the samples to read (``clipped_samples``); None: all.
+        samples: one bit per sample, set if it is saturated (``clipped_samples``); None: read all.
     """
 
     values: Any
@@ -65,7 +65,7 @@ class BestModels:
         return values[: len(MIXED)], values[len(MIXED) :]
 
     def noise(self, lane: Any) -> Any:
-        """Return the standard deviation of a sample of weight 1 of texels."""
+        """Return each texel's standard deviation of a sample of weight 1."""
         return dr.gather(mi.Float, self.sigma, lane)
 
 
@@ -134,7 +134,7 @@ def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], An
 
 
 def _quadratic_form(mean: list[Any], a: Sequence[float], b: Sequence[float]) -> Any:
-    """Return the mean of (a . columns) (b . columns)."""
+    """Return the weighted mean of the products (a . columns) (b . columns) over samples."""
     total = mi.Float64(0)
     for (i, j), value in zip(PAIRS, mean, strict=True):
         factor = float(a[i] * b[j] + (a[j] * b[i] if i != j else 0))
@@ -144,7 +144,7 @@ def _quadratic_form(mean: list[Any], a: Sequence[float], b: Sequence[float]) -> 
 
 
 def _noise(statistics: Statistics, least: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of samples of weight 1, (S,), from least errors, (S,)."""
+    """Return the standard deviation of samples of weight 1 from (S,) least squared errors."""
     views = np.asarray(statistics.views.numpy(), np.float64)
     error = np.maximum(least, 0) / statistics.channels
     variance = error * weight / np.maximum(views - PARAMETERS, FEWEST_FREE)

@@ -69,7 +69,7 @@ class Factors:
         return FactorReader(self, dr.arange(mi.UInt32, self.count) if lane is None else lane)
 
     def subset(self, chosen: np.ndarray) -> Factors:
-        """Return the factors of some lanes in [0, S)."""
+        """Return the factors of the lanes ``chosen``, in [0, S)."""
         lanes = to_drjit(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         values = mi.Float()
         if len(chosen):
@@ -212,7 +212,7 @@ def factorize(
 
 
 def _padded(values: list[Any]) -> list[Any]:
-    """Return values, padded with zeros to groups of four."""
+    """Append zeros until the number of values is a multiple of four."""
     return [*values, *[mi.Float64(0)] * (padded_to_quads(len(values)) - len(values))]
 
 
@@ -239,7 +239,7 @@ def _cholesky(sums: list[Any]) -> list[Any]:
 
 
 def catmull_rom(t: Any) -> list[Any]:
-    """Return the weights of four values at t in [0, 1] between the second and the third."""
+    """Return Catmull-Rom weights of four values; t in [0, 1] is between second and third."""
     return [
         0.5 * t * (-1 + t * (2 - t)),
         0.5 * (2 + t * t * (-5 + 3 * t)),

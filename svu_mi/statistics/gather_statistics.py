@@ -66,7 +66,8 @@ def gather_statistics(
 ) -> LazyStatistics:  # fmt: skip
     """Return the statistics of a model's texels in C channels, 3 or 1.
 
-    A one-channel model (grey light) is used for all C. ``mirrors`` None: unoccluded.
+    A one-channel model (grey light) is used for all C. If ``mirrors`` is None,
+    mirror directions count as unoccluded.
     """
     surface, kappa, channels = model.surface, weighting.kappa, channels or model.channels
     samples = _sample_model(weighting, channels)
@@ -211,7 +212,7 @@ def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
 
 
 def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -> Bits:
-    """Return bits of saturated samples, by place in ``Visibility.order`` and lane."""
+    """Return one bit per sample, 1 if saturated; bit n is view n of ``Visibility.order``."""
     bits = Bits.clear(views.number, surface.count)
 
     def consume(seen: ViewSample, slot: Any, touched: Any) -> tuple[Any]:
@@ -243,12 +244,12 @@ def _saturated(over: Any, channels: int) -> list[Any]:
 
 
 def _columns(level: list[Parts], shown: list[tuple[Any, Any]]) -> list[Columns]:
-    """Return the columns of each channel's radiance and weight factor at one level."""
+    """Return (columns, weight factor) of each channel at one level."""
     return [(columns(*level[c % len(level)], b), part) for c, (b, part) in enumerate(shown)]
 
 
 def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
-    """Return the products of pairs of columns, in double precision."""
+    """Return products of pairs of columns, times ``part`` (None: 1), in double precision."""
     u = [mi.Float64(column) for column in columns]
     counted = u if part is None else [mi.Float64(part) * column for column in u]
     return [counted[i] * u[j] for i, j in PAIRS]
@@ -257,7 +258,7 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
 def rounding_sums(
     views: Views, visibility: Visibility, surface: TexelLanes, weighting: Weighting
 ) -> np.ndarray | None:
-    """Return weighted sums of rounding variances, (S,), squared radiance; None for floats."""
+    """Return (S,) weighted sums of rounding variances; None: floating-point photographs."""
     if views.rounding is None:
         return None
     first, slope = views.rounding

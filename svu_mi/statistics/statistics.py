@@ -39,7 +39,7 @@ def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = ED
 
 @dataclass(frozen=True)
 class LazyStatistics:
-    """Unevaluated statistics. Evaluating twice runs the kernel twice.
+    """Unevaluated statistics; each evaluation runs the kernel again.
 
     Attributes:
         columns: (S,) Float64s, R C P sums of products (see ``Statistics.sums``).
@@ -156,7 +156,7 @@ class Statistics:
         return blocks.from_blocks(self.sums, self.rows, self.count)[-1]
 
     def subset(self, lanes: np.ndarray) -> Statistics:
-        """Return the statistics of some lanes in [0, S)."""
+        """Return the statistics of the texels in ``lanes``, indices in [0, S)."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(
             self, sums=blocks.gather_texels(self.sums, self.rows, chosen),
@@ -165,7 +165,7 @@ class Statistics:
         )  # fmt: skip
 
     def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
-        """Return a copy in which ``others`` replace the statistics of some (distinct) lanes."""
+        """Return a copy in which ``others`` replaces the statistics of the (distinct) ``lanes``."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         counts = mi.Float(self.counts)
         dr.scatter(counts, others.counts, chosen)

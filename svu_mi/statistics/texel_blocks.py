@@ -1,7 +1,7 @@
 """Memory layout of per-texel values: blocks of 16 texels.
 
 N rows of S values are stored as (ceil(S / 16), N, 16), so a packet of lanes reads few memory pages.
-With rows of S values it would read N pages, which is five times slower.
+In an array of shape (N, S) it would read N pages, which is five times slower.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def from_blocks(values: Any, rows: int, count: int) -> np.ndarray:
 
 
 def gather_texels(values: Any, rows: int, lanes: Any) -> Any:
-    """Return blocks with the values of some texels, in the order of ``lanes`` (UInt32)."""
+    """Return blocks with the values of the texels ``lanes`` (UInt32), in this order."""
     if not dr.width(lanes):
         return type(values)()
     place, held = _places(rows, lanes)
@@ -71,7 +71,7 @@ def gather_texels(values: Any, rows: int, lanes: Any) -> Any:
 
 
 def scatter_texels(values: Any, rows: int, lanes: Any, others: Any) -> Any:
-    """Return a copy with the values of some texels replaced; inverse of ``gather_texels``."""
+    """Return a copy with values of the texels ``lanes`` replaced (see ``gather_texels``)."""
     if not dr.width(lanes):
         return values
     place, held = _places(rows, lanes)
@@ -82,7 +82,7 @@ def scatter_texels(values: Any, rows: int, lanes: Any, others: Any) -> Any:
 
 
 def _places(rows: int, lanes: Any) -> tuple[Any, Any]:
-    """Return indices of texels' values in the order of new blocks; and a mask, False in padding."""
+    """Return source indices of all values of new blocks, and a mask that is False in padding."""
     count = dr.width(lanes)
     place, block = dr.arange(mi.UInt32, block_size(rows, count)), dr.opaque(mi.UInt32, rows * BLOCK)
     lane, row = place // block * BLOCK + place % BLOCK, place % block // BLOCK
