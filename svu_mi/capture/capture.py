@@ -17,7 +17,7 @@ class LightUncertainty:
     """Uncertainty of a light that was estimated from the photographs.
 
     Attributes:
-        widening: Factor of the overdispersion tau, at least 1; multiplies posterior variances.
+        widening: Factor, at least 1, of the overdispersion tau, and thus of posterior variances.
         scale: Standard deviation of log(brightness) per channel. The error is shared by the base
             colour of all texels.
     """
@@ -40,18 +40,19 @@ class Capture:
         masks: V arrays (H, W) bool, True on the object; None for a view without a mask.
         exposures: V exposure gains; the photographs were divided by them.
         names: V names of the photographs for messages: the imported names, or file names.
-        unusable: V numbers of pixels set to NaN.
+        unusable: V counts of pixels that are NaN.
         used: V booleans; False for unused views, such as an entirely black photograph.
         source: Path of the folder or file that was loaded; None for captures made in memory.
         clipped: V saturation records, None for a photograph without clipped channels. Empty if no
             photograph has any.
-        rounding: V quantisation steps, None for a floating-point photograph. Empty if all are.
+        rounding: V quantisation steps, None for a floating-point photograph. Empty if no
+            photograph stores integers.
         warnings: Warnings and notes of loading, one sentence each.
         files: V file names in ``source``; empty for captures made in memory.
         light_uncertainty: Uncertainty of an estimated light; None if the light was given.
         found_light: The ``LightEstimate`` in use (see ``with_light``); None if the light was given.
         buffer: Contiguous pixels of ``images`` for kernels; None for captures made in memory.
-            Ignored if ``images`` are other arrays.
+            Not used if ``images`` were replaced by other arrays.
 
     Example:
         >>> capture.count

@@ -94,7 +94,7 @@ def read(folder: Path) -> Description | None:
     for name, value in record.get("define", {}).items():
         if not isinstance(value, str) and abs(value) > LARGEST:
             raise CaptureError(
-                f"{path}: the value of {excerpt(name)} in define must be at most {LARGEST:g}."
+                f'{path}: the value of {excerpt(name)} in "define" must be at most {LARGEST:g}.'
             )
     require_views(len(record.get("sensors", ())), f"{path}: sensors", CaptureError)
     scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
@@ -131,7 +131,7 @@ FIELDS: dict[str, tuple[Any, Any, str]] = {
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:
     """Raise if files come from another run or were replaced while being read.
 
-    Run ids are empty if unknown.
+    An empty run id is unknown and never causes an error.
     """
     if run and ((entry := entry_of(folder / FILE)) is None or entry.run != run):
         raise CaptureError(f"{folder}: changed while it was being read; load it again.")

@@ -1,4 +1,4 @@
-"""Digests of captures and their parts, to recognise their results.
+"""Digests of captures and their parts, to find out which capture a result belongs to.
 
     capture_key(capture)            # "5d1f0c..."
     photographs_key(capture)        # independent of light and materials
@@ -99,7 +99,7 @@ def capture_parts(capture: Capture) -> dict[str, str]:
 
 
 def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
-    """Add the clipped channels of the used views."""
+    """Add the clipped channels of the used views to a key."""
     if capture.clipped:
         for view in used:
             saturated = capture.clipped[view]
@@ -134,7 +134,7 @@ def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
 
 
 def _arrays(node: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield names (without memory addresses) and values of parameters."""
+    """Yield the name (without memory addresses) and value of each parameter of an object."""
     for name, value in mi.traverse(node):
         yield ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value))
 
@@ -151,12 +151,12 @@ def _light(scene: Any, uncertainty: LightUncertainty | None = None) -> Key:
 
 
 def _settings(node: Any) -> list[Any]:
-    """Return settings that are not parameters, such as a distribution."""
+    """Return settings that Mitsuba prints but does not traverse, such as a distribution."""
     return [entry for entry in PRINTED.findall(str(node)) if entry[0] not in NOT_CONTENT]
 
 
 def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
-    """Return whether normals are Mitsuba's angle-weighted default."""
+    """Return whether normals equal those that Mitsuba computes (weighted by angle)."""
     params = mi.traverse(mesh)
     positions = np.array(params["vertex_positions"], np.float64).reshape(-1, 3)
     faces = np.asarray(params["faces"]).reshape(-1, 3)

@@ -73,7 +73,7 @@ class Window:
         return self.joined(plane, np.add) / np.float32(self.shrink**2)
 
     def seen_by(self, sensor: Any) -> Any:
-        """Return the sensor of the result; ``sensor`` itself if it is unchanged."""
+        """Return the sensor that sees the crop; ``sensor`` itself if nothing is cropped."""
         if self == Window.whole(film_size(sensor)):
             return sensor
         return windowed_sensor(sensor, (self.left, self.top), self.size, 1 / self.shrink)
@@ -81,11 +81,12 @@ class Window:
 
 @dataclass(frozen=True, kw_only=True)
 class Detail:
-    """Required resolution and area of photographs; the default keeps all.
+    """Required resolution and area of photographs; by default, photographs are unchanged.
 
     Attributes:
         texels: Size (W, H) of the texture; None if unknown.
-        side: Largest useful width or height in pixels; None for no limit. Disables cropping.
+        side: Largest useful width or height in pixels; None for no limit. A limit disables
+            cropping.
         surroundings: True keeps the background of the object.
     """
 
@@ -124,7 +125,7 @@ WHOLE = Detail()
 
 @dataclass(frozen=True)
 class _ObjectExtent:
-    """Geometry that determines the bounds of an object and its pixels per texel.
+    """Geometry from which the bounds of an object and its pixels per texel are computed.
 
     Attributes:
         corners: (P, 3) float64, world positions of all vertices.
@@ -150,7 +151,7 @@ class _ObjectExtent:
         return _ObjectExtent(source.positions, source.positions[chosen].mean(axis=1), sides, areas)
 
     def bounds_in(self, sensor: Any, film: Size) -> tuple[np.ndarray, np.ndarray]:
-        """Return the object's bounds with a margin: first pixel and end, (x, y).
+        """Return first pixel and end, each (x, y), of the object's bounds with a margin.
 
         Return the whole film if a part of the object is not in front of the camera.
         """
@@ -165,9 +166,9 @@ class _ObjectExtent:
         return (low, high) if (high > low).all() else whole
 
     def pixels_across(self, sensor: Any) -> float | None:
-        """Return the width in pixels of a texel seen face on; None if unknown.
+        """Return a typical small width of texels in pixels, seen face on; None if unknown.
 
-        Texels on a fraction ``SMALL`` of the surface are smaller.
+        Texels on a fraction ``SMALL`` of the surface are smaller than this width.
         """
         _, depth = projected(sensor, self.middles)
         seen = depth > float(sensor.near_clip())
@@ -180,7 +181,7 @@ class _ObjectExtent:
 
 
 def _sides(mesh: MeshArrays, faces: np.ndarray, areas: np.ndarray, texels: Size) -> np.ndarray:
-    """Return the side (F,) of a texel of each face, in world units."""
+    """Return the side length of a texel on each face, (F,), in world units."""
     number = texels[0] * texels[1]
     if mesh.uvs is None:  # unwrapping makes all texels equally large
         return np.full(len(areas), np.sqrt(np.linalg.norm(mesh.crosses, axis=1).sum() / 2 / number))

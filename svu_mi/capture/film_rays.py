@@ -1,4 +1,4 @@
-"""Camera rays of many views per kernel launch, and renders of pixels.
+"""Camera rays of many views in one kernel launch, and renders of selected pixels.
 
 Rays repeat the arithmetic of ``PerspectiveCamera::sample_ray`` and are bitwise equal on LLVM.
 """
@@ -26,8 +26,8 @@ MASK_GRID = 3  # mask rays per pixel side; a single miss excludes the pixel from
 def ray_floats(sensor: Any) -> np.ndarray:
     """Return the camera parameters of one view, (24,) float32.
 
-    In order: scale and offset of x, scale and offset of y (film to camera space); depth and
-    divisor of that map; principal point offset (2) in crop windows; three rows of ``to_world``;
+    In order: scale and offset of x, scale and offset of y (film to camera space); z and w
+    of that map (constant); principal point offset (2) in crop windows; three rows of ``to_world``;
     near clip, far clip, width and height of the crop window in pixels.
     """
     film, principal_point = sensor.film(), describe(sensor)["principal_point_offset"]
@@ -123,11 +123,11 @@ class SensorPixels:
 
     @cached_property
     def first(self) -> np.ndarray:
-        """Number of the first pixel of each view, and of all pixels: (V + 1,) int64."""
+        """Index of each view's first pixel, then the number of all pixels: (V + 1,) int64."""
         return np.concatenate([[0], np.cumsum(self.sizes.prod(axis=1))])
 
     def covered(self, scene: Any, target: Any) -> list[np.ndarray]:
-        """Return the fraction of each pixel that shows the target, V (h, w)."""
+        """Return the fraction of each pixel that shows the target, V arrays (h, w)."""
         part = np.zeros(self.first[-1], np.float32)
         for span, rays in self._launches(np.arange(self.first[-1]), MASK_GRID**2):
             hit = scene.ray_intersect_preliminary(rays(stratified(MASK_GRID)), coherent=True)

@@ -33,7 +33,7 @@ def pfm_size(path: Path) -> tuple[int, int]:
 
 
 def read_hdr(path: Path) -> np.ndarray:
-    """Return radiance, (H, W, 3) float32, without the header's ``EXPOSURE``."""
+    """Return radiance, (H, W, 3) float32; the header's ``EXPOSURE`` is ignored."""
     data = path.read_bytes()
     width, height, at = _hdr_header(data[:HEADER])
     if width in PACKED and data[at : at + 2] == b"\2\2":

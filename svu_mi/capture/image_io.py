@@ -43,7 +43,7 @@ class ImageFile:
 
     Attributes:
         path: Path of the file.
-        header: Size and attributes; only the size for formats other than EXR.
+        header: Size of the image; for EXR, also the attributes in the file.
         bits: 8 or 16 for integer (low dynamic range) files, 0 for floating point.
     """
 
@@ -180,7 +180,7 @@ def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]
 
 
 def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return channels without layer, or of the only or "Combined" layer."""
+    """Return the channels without a layer, else of the only or the "Combined" layer."""
     if "R" in channels or "Y" in channels:
         return channels
     layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
@@ -265,7 +265,7 @@ def clamp_negative(
     kept = np.where(below, 0, pixels)
     if np.abs(pixels[below]).sum(dtype=np.float64) > LOST * kept.sum(dtype=np.float64):
         raise error(
-            f"{label}: {count} pixels are negative, by more than {LOST:.0%} of the light; export "
-            "the map again."
+            f"{label}: {count} pixels are negative and cancel more than {LOST:.0%} of the light; "
+            "export the map again."
         )
     return kept, [f"{label}: {count} negative pixels were set to 0."]

@@ -81,7 +81,7 @@ def check_photographs(
 
 
 def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
-    """Return the subject of a message about a group of the ``count`` photographs."""
+    """Return the subject of a message about a ``group`` of all ``count`` photographs."""
     _, path, name = group[0]
     if len(group) == 1:
         return str(path) if name == path.name else f"{path} ({name})"
@@ -93,7 +93,7 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
 
 
 def unsupported(scene: Any, target: Any) -> list[str]:
-    """Return warnings about the material, and about light from other shapes."""
+    """Return warnings about the target's material, and about light from other shapes."""
     notes = []
     if features := list(dict.fromkeys(_of_material(target.bsdf()))):
         notes.append(
@@ -150,7 +150,7 @@ def _is_black(bsdf: Any) -> bool:
 
 
 def _extent(shape: Any, target: Any) -> float:
-    """Return the solid angle of a shape's bounding sphere, divided by 4 pi."""
+    """Return the solid angle / 4 pi of a shape's bounding sphere from the target's centre."""
     low, high = (np.array(corner, np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     distance = np.linalg.norm((low + high) / 2 - np.array(target.bbox().center(), np.float64))
     radius = np.linalg.norm(high - low) / 2

@@ -1,4 +1,4 @@
-"""Loading of captures: scene file and folder of photographs to ``Capture``."""
+"""Loading of a ``Capture`` from a scene file and a folder of photographs."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def load_capture(
             unwrapped, with a warning. The result is cached as ``unwrapped.ply`` in ``images``.
         missing: Treatment of sensors without a photograph: ``refuse`` raises an error,
             ``leave-out`` makes them unused views (see ``Candidates.without_photograph``).
-        light: ``required`` raises an error if the scene has no light. ``optional`` is sufficient
-            for ``svu_mi.check`` and ``svu_mi.estimate_light``.
+        light: ``required`` raises an error if the scene has no light. ``optional`` accepts it,
+            which is sufficient for ``svu_mi.check`` and ``svu_mi.estimate_light``.
         trust: True lets the scene load libraries as Mitsuba plugins, from folders ``plugins``
             next to it or in the working directory. Use it only for scenes of trusted authors.
         detail: Required resolution of photographs of 4 megapixels and more. For example,
@@ -295,7 +295,7 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
 
 
 def _light(scene: Any, description: Description, light: Light, folder: Path) -> Any:
-    """Return the environment emitter; None without light if allowed."""
+    """Return the environment emitter; None without light if ``light`` allows that."""
     if not scene.emitters():
         if light == "optional":
             return None
@@ -311,7 +311,7 @@ def _light(scene: Any, description: Description, light: Light, folder: Path) -> 
 
 
 def map_size(light: Any) -> Size:
-    """Return (width, height) of an environment map; (0, 0) for other lights."""
+    """Return (width, height) of an environment map; (0, 0) for other emitters."""
     if light is None or light.class_name() != "EnvironmentMapEmitter":
         return 0, 0
     height, width = mi.traverse(light)["data"].shape[:2]

@@ -28,7 +28,7 @@ UNREADABLE = {
 
 
 class NoPhotographsError(CaptureError):
-    """Error for a folder without any photograph of its ``sensors`` sensors."""
+    """Error for a folder without photographs; ``sensors`` is the number of sensors."""
 
     sensors = 0
 
@@ -54,7 +54,7 @@ def match_photographs(
     """Find the photographs of sensors in a folder.
 
     Files are named ``view_0000.*``, ... by the index of their sensor, or by its id. Files with
-    other names are assigned in natural order, if their number is equal to the number of sensors.
+    other names are assigned in natural order, if there are as many files as sensors.
     ``any_name=False`` ignores them, because they may be textures.
     """
     if not folder.is_dir():
@@ -167,7 +167,7 @@ def _remedy(folder: Path) -> str:
 def _in_order(
     folder: Path, ids: Sequence[str], pictures: Sequence[Path], missing: Missing
 ) -> Match:
-    """Assign images to sensors in order; their numbers must be equal."""
+    """Assign images to sensors in order; raise unless there is one per sensor."""
     _by_stem(folder, pictures)
     if len(pictures) != len(ids):
         leaves_out = missing == "leave-out" and len(pictures) < len(ids)
@@ -186,7 +186,7 @@ def _in_order(
 
 
 def _by_stem(folder: Path, pictures: Iterable[Path]) -> dict[str, Path]:
-    """Return the images by their names without suffix."""
+    """Return the images as a dictionary, by their names without suffix."""
     by_name: dict[str, Path] = {}
     for path in sorted(pictures, key=lambda path: (path.stem, path.name)):
         if path.stem in by_name:

@@ -42,7 +42,7 @@ class MeshArrays:
 
     @property
     def crosses(self) -> np.ndarray:
-        """Cross products of the edges, (F, 3): face normals of length 2 * area."""
+        """Cross product of two edges of each face, (F, 3); its length is twice the area."""
         return crosses_of(self.positions, self.faces)
 
 
@@ -66,13 +66,13 @@ def unit_vectors(vectors: np.ndarray) -> np.ndarray:
 
 
 def faces_at(crosses: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Map positions (N,) in [0, 1] to faces (N,) in proportion to area."""
+    """Map numbers (N,) in [0, 1] to face indices (N,), in proportion to face areas."""
     area = np.cumsum(np.linalg.norm(crosses, axis=1))
     return np.minimum(np.searchsorted(area, places * area[-1], side="right"), len(area) - 1)
 
 
 def has_uvs(mesh: Any) -> bool:
-    """Return whether the mesh carries texture coordinates."""
+    """Return whether a mesh has texture coordinates."""
     return bool(mesh.has_vertex_texcoords())
 
 
@@ -136,7 +136,7 @@ def read_ply(path: Path) -> MeshArrays:
 
 
 def chart_coverage(mesh: Any) -> float:
-    """Return an upper bound of the texture's covered fraction, at most 1."""
+    """Return an upper bound, at most 1, of the fraction of a texture inside UV charts."""
     loaded = arrays(mesh)
     if loaded.uvs is None:
         return 1.0

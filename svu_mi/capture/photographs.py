@@ -214,7 +214,7 @@ def _steps(picture: ImageFile) -> Rounding | None:
 
 
 def _positive(picture: ImageFile, name: str) -> float | None:
-    """Return an attribute if it is a positive number, otherwise None."""
+    """Return an attribute of the header if it is a positive number, otherwise None."""
     try:
         value = float(picture.header.attributes.get(name, np.nan))
     except (TypeError, ValueError):
@@ -226,8 +226,8 @@ def _mark(color: np.ndarray, exposure: float, clipped: Saturation | None) -> tup
     """Divide by the exposure and set invalid pixels to NaN, in place.
 
     Returns:
-        Number of invalid pixels, number of marked ones among them, and True if all others are
-        black. Clipped pixels are neither invalid nor black.
+        Number of invalid pixels, number of pixels that the file marks as unusable, and True if
+        all valid pixels are black. Clipped pixels are neither invalid nor black.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         if exposure != 1:

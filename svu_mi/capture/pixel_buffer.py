@@ -87,19 +87,19 @@ class PixelBuffer:
         return self._views(self.clipped)
 
     def places(self, images: Sequence[np.ndarray]) -> list[int] | None:
-        """Return each image's index in the buffer; None if one is not a view."""
+        """Return each image's index in the buffer; None if one is not a view of ``pixels``."""
         numbers = {id(own): number for number, own in enumerate(self.images)}
         order = [numbers.get(id(image), -1) for image in images]
         return order if -1 not in order and len(set(order)) == len(order) else None
 
     def masks_at(self, places: Sequence[int], masks: Sequence[np.ndarray | None]) -> np.ndarray:
-        """Return masks as (P,) bool; True for photographs without a mask."""
+        """Return masks of the photographs ``places`` as (P,) bool; True without a mask."""
         return self._flat(self.masked, self.masks, places, masks, True)
 
     def channels_at(
         self, places: Sequence[int], channels: Sequence[np.ndarray | None]
     ) -> np.ndarray:
-        """Return bits of saturated channels as (P,) uint8."""
+        """Return bits of saturated channels of the photographs ``places`` as (P,) uint8."""
         return self._flat(self.clipped, self.channels, places, channels, 0)
 
     def advise_random_access(self) -> None:
@@ -116,7 +116,7 @@ class PixelBuffer:
         self, block: np.ndarray, own: Sequence[np.ndarray], places: Sequence[int],
         planes: Sequence[np.ndarray | None], fill: int,
     ) -> np.ndarray:  # fmt: skip
-        """Return planes as one array (P,); ``block`` if they are its views."""
+        """Return planes as one array (P,); ``block`` itself if it contains them."""
         pairs = list(zip(places, planes, strict=True))
         if all(own[k] is plane or (plane is None and (own[k] == fill).all()) for k, plane in pairs):
             return block
@@ -128,7 +128,7 @@ class PixelBuffer:
 
 
 def room_for_photographs(films: Sequence[Size]) -> float:
-    """Return default bytes for photographs: half of the free memory."""
+    """Return the default memory limit in bytes: half of the free memory, less decoding."""
     free, largest = free_memory(), max((width * height for width, height in films), default=0)
     if free is None:
         return math.inf

@@ -1,9 +1,9 @@
 """Protection against plugin libraries in the folders of scenes.
 
 For ``type="name"``, Mitsuba searches ``plugins/name.so`` in the folder of the scene, in the folders
-of ``<path>`` tags, and in the working directory. Only then does it use its own plugins and those
-registered in Python. A downloaded scene could therefore run code. Parsing loads no library, so
-parsed scenes are checked before their objects are made.
+of ``<path>`` tags, and in the working directory. If it finds none, it uses its own plugins and
+those registered in Python. A downloaded scene could therefore run code. Parsing loads no
+library, so parsed scenes are checked before their objects are made.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _is_own(path: Path) -> bool:
 
 
 def _libraries(name: str) -> list[str]:
-    """Return the file names that Mitsuba searches for a plugin."""
+    """Return the names of library files that Mitsuba searches for a plugin ``name``."""
     path = mi.filesystem.path
     return [str((path(FOLDER) / path(name)).replace_extension(path(end))) for end in SUFFIXES]
 

@@ -27,7 +27,7 @@ class Saturation:
 
     @staticmethod
     def of(over: np.ndarray, least: float) -> Saturation:
-        """Make it from flags (H, W, 3), and one lower bound for all channels."""
+        """Make a record from flags (H, W, 3), and one lower bound for all channels."""
         bits = np.array([1, 2, 4], np.uint8)
         return Saturation((over * bits).sum(axis=-1, dtype=np.uint8), np.full(3, least, np.float32))
 
@@ -46,8 +46,8 @@ class Rounding:
     """Quantisation steps max(first, slope b^(1.4 / 2.4)) at radiance b.
 
     Attributes:
-        first: (3,) float32, step above black per channel.
-        slope: (3,) float32, step at radiance 1 per channel.
+        first: (3,) float32, step between black and the next value, per channel.
+        slope: (3,) float32, step at radiance 1, per channel.
     """
 
     first: np.ndarray
@@ -55,7 +55,7 @@ class Rounding:
 
     @staticmethod
     def of(bits: int, transfer: Transfer = "srgb") -> Rounding:
-        """Return the steps of 8- or 16-bit integers; the largest is radiance 1."""
+        """Return the steps of 8- or 16-bit integers; the largest integer is radiance 1."""
         last = 2**bits - 1
         ends = np.array([1 / last, 1 - 1 / last, 1], np.float64)
         first, below, white = map(float, decoded(ends, transfer))
@@ -63,7 +63,7 @@ class Rounding:
 
     @staticmethod
     def between(first: float, last: float) -> Rounding:
-        """Make steps of all channels: ``first`` above black, ``last`` below 1."""
+        """Make equal steps for all channels: ``first`` at black, ``last`` at radiance 1."""
         return Rounding(np.full(3, first, np.float32), np.full(3, last, np.float32))
 
     def divided(self, gain: np.ndarray | np.floating | float) -> Rounding:

@@ -1,4 +1,4 @@
-"""Synthetic captures: renders of a scene's sensors."""
+"""Synthetic captures: renders of a scene, one photograph per sensor."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def plan_render(
 
 
 def require_rendered(capture: Capture, spp: int) -> None:
-    """Raise if a capture was rendered with other sensors or another spp."""
+    """Raise if a capture was not rendered with ``spp`` and the sensors of its scene."""
     if capture.source is None or (description := capture_folder.read(capture.source)) is None:
         return
     own = [describe(sensor) for sensor in find_sensors(capture.scene, str(description.scene))]
@@ -225,7 +225,7 @@ def require_rendered(capture: Capture, spp: int) -> None:
 
 
 def _require_views(claim: Claim, films: Sequence[Size], run: str) -> None:
-    """Remove incomplete views and views of other runs from an interrupted draft."""
+    """Keep only complete views of ``run`` in an interrupted draft; raise without any."""
     left = list(claim.draft.glob(VIEWS))
     if not left:
         raise OutputError(f"{claim.folder}: no interrupted run to resume; omit --resume.")
@@ -258,7 +258,7 @@ def _view(index: int) -> str:
 
 
 def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
-    """Render radiance (H, W, 3), also from luminance films."""
+    """Render radiance (H, W, 3), also if the film stores luminance only."""
     try:
         image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
     except Exception as error:  # Mitsuba raises RuntimeError for everything

@@ -96,7 +96,7 @@ def _refusal(path: Path, message: str) -> str:
 
 
 def last_sentence(message: str) -> str:
-    """Return a message of Mitsuba without source positions."""
+    """Return Mitsuba's message as a sentence, without positions in its source code."""
     text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", message).strip(), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 
@@ -174,7 +174,7 @@ def require_light(capture: Any) -> None:
 
 
 def find_shape(scene: Any, name: str | None, path: str) -> Any:
-    """Return the target: by id, the only mesh, or the only principled one."""
+    """Return the target: shape ``name``, else the only mesh, or the only principled one."""
     shapes = list(scene.shapes())
     named = [shape for shape in shapes if shape.id() == name]
     if name is not None and not named:

@@ -136,7 +136,7 @@ def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> 
 
 
 def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
-    """Write a mesh as PLY file, relative to ``folder``; return its shape."""
+    """Write a mesh as PLY ``file`` in ``folder``; return the XML of its shape."""
     write_ply(folder / file, name, source)
     node = plugin("shape", "ply", id=name, filename=file)
     # Without this flag, Mitsuba computes smooth normals if the file has none.
@@ -198,9 +198,9 @@ def environment(emitter: Any, folder: Path, assets: str) -> Element:
 
 
 def shape(source: Any, folder: Path, stem: str) -> Any:
-    """Return a shape with its material; a comment if it is unsupported.
+    """Return the XML of a shape and its material; a comment if unsupported.
 
-    ``stem`` is the prefix of the names of its files, relative to the scene file's ``folder``.
+    Paths of the shape's files begin with ``stem``, relative to the scene file's ``folder``.
     """
     kind = ANALYTIC.get(source.class_name())
     if source.is_mesh():
@@ -221,7 +221,7 @@ def shape(source: Any, folder: Path, stem: str) -> Any:
 
 
 def material(bsdf: Any, folder: Path, stem: str) -> Element:
-    """Return the BSDF of another shape, and write its textures as EXR.
+    """Return the XML of a BSDF of a shape other than the object; write textures as EXR.
 
     Supported are ``principled`` and ``diffuse``, also within ``twosided``. Others are replaced by
     a grey diffuse BSDF, with a warning. ``stem``: see ``shape``.

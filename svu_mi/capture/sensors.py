@@ -201,7 +201,7 @@ def sensors_like(
 ) -> tuple[Any, ...]:  # fmt: skip
     """Place sensors like the first ``used`` sensor around an object.
 
-    The default ``distance`` is the median of ``used``; other arguments: see ``sphere_sensors``.
+    The default ``distance`` is the median one of ``used``; other arguments: see ``sphere_sensors``.
     """
     if distance is None:
         center, _ = bounding_sphere(shape)
@@ -234,14 +234,14 @@ def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
 
 
 def directions_of(sensors: Iterable[Any], center: np.ndarray) -> np.ndarray:
-    """Return unit vectors (V, 3) from a point to sensors; +Y at the point."""
+    """Return unit vectors (V, 3) from a point to sensors; +Y for a sensor at the point."""
     offsets = np.array([to_world(sensor)[:3, 3] - center for sensor in sensors]).reshape(-1, 3)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     return np.where(lengths > 0, offsets / np.maximum(lengths, 1e-30), (0.0, 1.0, 0.0))
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.ndarray:
-    """Return a look-at matrix; replace ``up`` if parallel to the view."""
+    """Return a look-at matrix; replace ``up`` if it is parallel to the viewing direction."""
     forward = (target - origin) / np.linalg.norm(target - origin)
     above = np.array(up, np.float64) / np.linalg.norm(up)
     if abs(forward @ above) >= 0.999:  # any other direction will do
@@ -281,7 +281,7 @@ def _require(fine: Any, label: str, key: str, expected: str) -> None:
 
 
 def _has(value: Any, shape: tuple[int, ...], kind: Any) -> bool:
-    """Return whether a value has a shape and finite numbers of a kind."""
+    """Return whether a value is a number, or lists of ``shape``, of finite ``kind``."""
     if not shape:
         return isinstance(value, kind) and not isinstance(value, bool) and abs(value) < LARGEST
     listed = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]

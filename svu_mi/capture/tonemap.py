@@ -23,7 +23,7 @@ AMBIENT = 0.35  # shading factor at grazing angles
 
 
 def white_radiance(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the radiance that ``tone_mapped`` maps to white; arguments as there."""
+    """Return the radiance that becomes white by default; arguments: see ``tone_mapped``."""
     brightness = photograph.max(axis=2)
     chosen = brightness[mask] if mask is not None and mask.any() else brightness
     chosen = chosen[np.isfinite(chosen)]
@@ -49,7 +49,7 @@ def tone_mapped(
 
 
 def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Resample a photograph to (width, height); NaN spreads."""
+    """Resample a photograph to (width, height); NaN pixels make their neighbours NaN."""
     height, width = photograph.shape[:2]
     if (width, height) == size:
         return np.array(photograph)
@@ -63,7 +63,7 @@ def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def block_means(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
-    """Return means of blocks (down, across); crop incomplete blocks."""
+    """Return means of blocks of ``down`` x ``across`` pixels; omit incomplete blocks."""
     height, width = photograph.shape[0] // down, photograph.shape[1] // across
     means = np.zeros((height, width, photograph.shape[2]), np.float32)
     for row in range(down):
@@ -137,7 +137,7 @@ class ObjectView:
         return mean / np.maximum(self.covered, 1 / SAMPLES**2)[..., None]
 
     def _texel(self, texture: np.ndarray) -> Any:
-        """Return the texel of every sample, Color3f."""
+        """Return the texture's nearest value at every sample, Color3f."""
         height, width = texture.shape[:2]
         texels = to_drjit(mi.Float, np.asarray(texture, np.float32).ravel())
         column, row = (
@@ -147,7 +147,7 @@ class ObjectView:
         return dr.gather(mi.Color3f, texels, row * dr.opaque(mi.UInt32, width) + column)
 
     def _mean(self, color: Any, beyond: float) -> np.ndarray:
-        """Return pixel means of samples, (h, w, 3); ``beyond`` outside."""
+        """Return means of samples per pixel, (h, w, 3); ``beyond`` outside of the window."""
         dr.eval(color)
         mean = [dr.block_sum(channel, SAMPLES**2) / SAMPLES**2 for channel in color]
         dr.eval(mean)

@@ -92,7 +92,7 @@ def _saved(path: Path, source: MeshArrays) -> MeshArrays:
     vertex = np.zeros(len(saved.positions), np.int64)
     vertex[saved.faces] = source.faces
     if not np.array_equal(vertex[saved.faces], source.faces):
-        raise MeshError(f"{path}: merges vertices of the mesh")
+        raise MeshError(f"{path}: its UVs would merge vertices of the mesh")
     normals = None if source.normals is None else source.normals[vertex]
     return MeshArrays(source.positions[vertex], saved.faces, normals, saved.uvs)
 
@@ -100,7 +100,7 @@ def _saved(path: Path, source: MeshArrays) -> MeshArrays:
 def _key(source: MeshArrays, flat: MeshArrays) -> str:
     """Return a digest of a mesh and its UVs in single precision.
 
-    It does not depend on the version of xatlas, so saved UVs remain valid.
+    The digest does not depend on the version of xatlas, so saved UVs remain valid.
     """
     key = hashlib.blake2b(digest_size=16)
     for rows in (source.positions, source.normals, flat.uvs):

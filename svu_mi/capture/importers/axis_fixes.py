@@ -88,7 +88,7 @@ def find_fixes(names: Sequence[str]) -> tuple[AxisFix, ...]:
 
 
 def fix_rotation(fixes: Sequence[AxisFix], kind: Literal["mesh", "light"]) -> np.ndarray:
-    """Return the product (3, 3) of all corrections of the mesh or the light."""
+    """Return the product (3, 3) of the matrices of all corrections of one ``kind``."""
     turn = np.eye(3)
     for fix in fixes:
         if fix.kind == kind and fix.matrix is not None:

@@ -55,8 +55,8 @@ def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float
 def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[float, float]:
     """Return first step and slope of the quantisation of 8 or 16 bits (see ``Rounding``).
 
-    They are the largest of the channels. Codes with equal values form one step; saturated codes
-    are ignored.
+    Both are the largest ones of all channels. Codes with equal values form one step; saturated
+    codes are ignored.
     """
     last = 2**bits - 1
     if not isinstance(transfer, CameraResponse):
@@ -131,7 +131,7 @@ def _numbers(text: str, label: str) -> list[float]:
 
 
 def _require_order(row: list[float], before: list[list[float]], label: str) -> None:
-    """Raise CaptureError unless a sample ascends from the samples before."""
+    """Raise CaptureError unless a sample is above the sample of the line before."""
     if not before:
         return
     last = before[-1]

@@ -159,7 +159,7 @@ def _describe(
     black: np.ndarray,
     invalid: int,
 ) -> ConvertedPhotograph:
-    """Return the properties of a photograph with masks (H, W) of saturated and black pixels."""
+    """Return the properties; ``clipped`` and ``black`` (H, W) are True for such pixels."""
     return ConvertedPhotograph(
         bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
         saturated=int(clipped.sum()),
@@ -170,7 +170,7 @@ def _describe(
 
 
 def _mark_unusable(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
-    """Mark unusable pixels and saturated channels in place; return header entries."""
+    """Mark unusable pixels and saturated channels in place; return entries for the header."""
     touched = channels.pop("bad") > PART
     over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
     parts = {name: part for name, part in over.items() if part is not None}
@@ -193,7 +193,7 @@ def _is_inverted(mask: np.ndarray) -> bool:
 def _resample(
     layers: dict[str, np.ndarray], frame: Frame, scale: tuple[float, float]
 ) -> dict[str, np.ndarray]:
-    """Undistort and shrink layers, and free each input: photographs may be huge."""
+    """Undistort and shrink layers; remove them from the input, because they may be huge."""
     names = list(layers)
     straight = undistort_planes([np.asarray(layers.pop(name), np.float32) for name in names], frame)
     return {

@@ -20,7 +20,7 @@ EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
 def with_gains(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
-    """Return frames with gains from a file or from ``exif``; unchanged if None."""
+    """Return frames with gains from a file, or from EXIF (``exif``); None changes nothing."""
     if gains is None:
         return frames
     return with_exif_gains(frames) if gains == "exif" else with_listed_gains(frames, Path(gains))

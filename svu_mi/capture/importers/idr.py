@@ -3,9 +3,10 @@
 Yariv et al., Multiview Neural Surface Reconstruction (NeurIPS 2020). The arrays follow its
 DATA_CONVENTION.md, https://github.com/lioryariv/idr; NeuS uses the same:
 
-    world_mat_0, world_mat_1, ...    (4, 4), rows K [R | t] and 0 0 0 1: world to pixel, in OpenCV's
-                                     axes, times the depth
-    scale_mat_0, scale_mat_1, ...    (4, 4), unit sphere around the object to world, all equal
+    world_mat_0, world_mat_1, ...    (4, 4), rows K [R | t] and 0 0 0 1: maps world points to pixels
+                                     times depth, in OpenCV's axes
+    scale_mat_0, scale_mat_1, ...    (4, 4), maps the unit sphere to the sphere around the object in
+                                     the world; all are equal
 
 Photographs and masks are assigned to matrices in the order of their names. Both programs trace the
 ray of pixel (0, 0) through the point (0, 0), the centre of the first pixel, as in OpenCV.
@@ -164,14 +165,14 @@ def decompose_projection(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np
 
 
 def _masks(folder: Path | None, files: Sequence[Path]) -> Sequence[Path | None]:
-    """Return the masks sorted by name; in DTU, their numbers differ from the photographs."""
+    """Return the masks sorted by name; in DTU, their names differ from the photographs'."""
     if folder is None:
         return [None] * len(files)
     masks = list_pictures(folder)
     if len(masks) != len(files):
         raise CaptureError(
-            f"{folder}: has {len(masks)} masks for {len(files)} photographs; add the others, or "
-            "give another folder with --masks."
+            f"{folder}: has {len(masks)} masks for {len(files)} photographs; add the missing "
+            "masks, or give another folder with --masks."
         )
     return masks
 

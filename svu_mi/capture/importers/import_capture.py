@@ -115,7 +115,7 @@ class ImportPlan:
 
     @property
     def sizes(self) -> Sizes:
-        """Sizes of the photographs that are in memory in parallel, and of the light."""
+        """Sizes of the photographs that are in memory at the same time, and of the light."""
         largest = sorted((frame.size for frame in self.frames), key=lambda size: size[0] * size[1])
         light = (0, 0) if self.light is None else open_image(self.light.path).size
         return Sizes(largest[-_parallel_count(self.frames) :], light)
@@ -265,7 +265,7 @@ def _write_photographs(
     frames: Sequence[Frame], folder: Path, shrink: float,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Sequence[Frame], list[ConvertedPhotograph]]:  # fmt: skip
-    """Write ``view_0000.exr``, ...; return frames with square pixels, and properties."""
+    """Write ``view_0000.exr``, ...; return square-pixel frames, and properties."""
     squares, scales = zip(*(square_pixel_frame(frame, shrink) for frame in frames), strict=True)
     views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
     contexts = [copy_context() for _ in frames]  # threads do not inherit the run's marks

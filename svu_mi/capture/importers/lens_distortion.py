@@ -79,7 +79,7 @@ class Lens:
             return bool((xx * yy - xy * xy > 0).all())
 
     def _radial(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return r^2, d, and the derivative of d by r^2."""
+        """Return r^2, d, and the derivative of d with respect to r^2."""
         square = x * x + y * y
         k1, k2, k3, k4 = self.k1, self.k2, self.k3, self.k4
         factor = 1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))

@@ -63,7 +63,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
 
     Args:
         path: path of a GLB, glTF, OBJ, PLY or STL file. Parts are transformed as in the file and
-            merged. V points as the format specifies; in PLY, down, but up if there is a texture.
+            merged. PLY does not specify the direction of V: it points up with a texture, else down.
         geometry_only: True to ignore UVs, textures and the number of materials.
     """
     path = Path(path)
@@ -166,7 +166,7 @@ class _Part:
 
 
 def _own_normals(part: Any) -> np.ndarray | None:
-    """Return the normals in the file, one per vertex; None if trimesh has computed them.
+    """Return the normals in the file, one per vertex; None if the file has none.
 
     trimesh keeps normals of a PLY in the metadata.
     """

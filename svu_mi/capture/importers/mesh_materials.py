@@ -81,7 +81,7 @@ def is_textured(visual: Any) -> bool:
 
 
 def ignored_in_obj(visual: Any) -> list[str]:
-    """Return ignored parts of an OBJ's material, such as ``a bump map``."""
+    """Return the names of ignored parts of an OBJ's material, such as ``a bump map``."""
     said = getattr(getattr(visual, "material", None), "kwargs", None) or {}
     return [name for key, name in IGNORED.items() if key in said]
 
@@ -132,7 +132,7 @@ def _rgb(picture: Any) -> np.ndarray:
 
 
 def check_gltf(path: Path, *, geometry_only: bool) -> int:
-    """Return the size of a file and its buffers in bytes; refuse unsupported features."""
+    """Return the size of a glTF and its buffers in bytes; raise for unsupported features."""
     record = _header(path)
     for name in COMPRESSION:
         if name in record.get("extensionsRequired", ()):
@@ -159,7 +159,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
 
 
 def ignored_in_gltf(path: Path) -> list[str]:
-    """Return ignored parts of the materials of a checked file, such as ``a normal map``."""
+    """Return the names of ignored parts of a glTF's materials, such as ``a normal map``."""
     record = _header(path)
     materials = record.get("materials", [])
     primitives = _primitives(record)
@@ -179,7 +179,7 @@ def _primitives(record: Mapping[str, Any]) -> list[Any]:
 
 
 def _header(path: Path) -> dict[str, Any]:
-    """Return the JSON part of a file."""
+    """Return the JSON part of a glTF or GLB file."""
     if path.suffix.lower() == ".gltf":
         return dict(json.loads(path.read_bytes()))
     with path.open("rb") as stream:
@@ -188,7 +188,7 @@ def _header(path: Path) -> dict[str, Any]:
 
 
 def _file_bytes(path: Path, record: Mapping[str, Any]) -> int:
-    """Return the bytes of the file and its buffers."""
+    """Return the size of the file and its buffers in bytes."""
     names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
     names = [unquote(name) for name in names if not name.startswith("data:")]
     files = {path, *(safe_path(path.parent, name, str(path)) for name in names)}

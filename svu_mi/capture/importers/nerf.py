@@ -138,7 +138,7 @@ def parse_frame(
 ) -> Frame:  # fmt: skip
     """Read one frame, ``given``, with the common values of ``record``.
 
-    Paths are relative to ``root``, ``before`` (4, 4) is multiplied to the pose from the left, and
+    Paths are relative to ``root``, the pose is multiplied by ``before`` (4, 4) from the left, and
     ``usual`` is the size of a missing photograph.
     """
     try:
@@ -242,7 +242,7 @@ def _focal(
 
 
 def _image_path(root: Path, given: Any, label: str) -> Path:
-    """Return the path of a photograph; ``none`` if the frame contains no path."""
+    """Return the path of a photograph; a path that ends in ``none`` if the frame has none."""
     if given is None:
         return root / "none"
     path = safe_path(root, given, label)

@@ -1,4 +1,4 @@
-"""Registry of formats: detection and reading of captures of other tools.
+"""Registry of formats: finds out which tool made a capture, and reads it.
 
 A format is a module of this package with two functions. ``recognises(path, split)`` returns
 whether a path is a capture of the format (splits may have separate files); ``read(path, options)``
@@ -60,12 +60,12 @@ class ReadOptions:
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
-    """Read cameras and paths of a capture of another tool.
+    """Read the cameras and the paths of the photographs of another tool's capture.
 
     Args:
-        path: path of ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or
-            ``cameras.npz`` (IDR, NeuS), or of the folder with this file; of a COLMAP project or
-            model, a scene of Stanford-ORB or an object of Objects with Lighting.
+        path: file ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or
+            ``cameras.npz`` (IDR, NeuS), or the folder that contains it; or the folder of a COLMAP
+            project or model, a Stanford-ORB scene, or an object of Objects with Lighting.
         options: options of reading; defaults if None.
 
     Raises:

@@ -25,7 +25,7 @@ def repair_normals(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]
     with many creases counts as noisy and becomes smooth everywhere.
 
     Returns:
-        Mesh with unit normals, and sentences about changes of the file ``label``.
+        Mesh with unit normals, and sentences about the changes; ``label`` is the file's name.
     """
     _, unique, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
@@ -96,7 +96,7 @@ def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[M
 
 
 def _is_noisy(cosine: np.ndarray, triangles: int) -> bool:
-    """Return whether creases are noise, from the cosines (E,) of edges."""
+    """Return whether creases are noise; ``cosine`` (E,) is between the faces at an edge."""
     if triangles < DENSE or not len(cosine):
         return False
     crease, flat = np.cos(np.radians([CREASE, PLANE]))

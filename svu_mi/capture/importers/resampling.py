@@ -82,7 +82,7 @@ def undistorted_frame(frame: Frame) -> Frame:
 def undistort_planes(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
     """Undistort finite float32 planes (H, W) of a photograph by bilinear interpolation.
 
-    The result has the size of ``undistorted_frame(frame)``; it is ``planes`` without a lens.
+    The result has the size of ``undistorted_frame(frame)``. Without a lens, return ``planes``.
     """
     if frame.lens is None:
         return planes
@@ -106,7 +106,7 @@ def square_pixel_frame(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[
 
     Args:
         frame: calibrated camera of the photograph.
-        shrink: factor that enlarges pixels, at least 1.
+        shrink: factor, at least 1, by which the side of a pixel grows.
     """
     frame = undistorted_frame(frame)
     if not (np.isfinite(shrink) and shrink >= 1):
@@ -146,7 +146,7 @@ def _average_axis(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
 
 
 def _integral_averages(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
-    """Return averages as differences of the integral of a piecewise constant function."""
+    """Return ``count`` averages of ``lines``, as differences of their cumulative sum."""
     lines = np.asarray(lines, np.float64)
     integral = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
     edges = np.minimum(np.arange(count + 1) / factor, len(lines))

@@ -1,4 +1,4 @@
-"""Files of a source: safe paths, folders of pictures and masks, text lines."""
+"""Files of a capture: safe paths, folders of photographs and masks, lines of text."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def find_mask(folder: Path, name: Path) -> Path | None:
 
 
 def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
-    """Yield number and text of the non-empty lines of a file, without comments (``#``).
+    """Yield each non-empty line of a file without comments (``#``): its number and its text.
 
     Files that are missing, larger than 16 MiB or not text raise CaptureError; its message contains
     ``what``, such as ``a list of exposures``, and the remedy ``fix``.

@@ -47,7 +47,7 @@ class OrbView:
     """Photograph of the data set.
 
     Attributes:
-        capture: name of its capture; for ``novel`` views, another one than was read.
+        capture: name of the photograph's capture; ``novel`` views are from other captures.
         frame: photograph, mask and camera, in the world of the capture that was read.
         light: environment map; None if missing.
         albedo: path of a picture of the base colour (sRGB); None if missing.
@@ -164,7 +164,7 @@ def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView
 def _light(
     views: tuple[OrbView, ...], wanted: str | None, path: Path
 ) -> tuple[Light | None, list[str]]:
-    """Choose one of the environment maps; return a note about the choice."""
+    """Return one of the environment maps, and a note about the choice."""
     lights = {view.name: view.light for view in views if view.light is not None}
     if not lights:
         folder = path.parent.parent / TRUTH / views[0].capture / ENVIRONMENTS

@@ -191,7 +191,7 @@ def test_folders_that_are_not_there(tmp_path):
         read_colmap(tmp_path, masks=tmp_path / "none")
     with pytest.raises(CaptureError, match="none: no such folder; .* --images"):
         read_colmap(tmp_path, images=tmp_path / "none")
-    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, a.png first"):
+    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, first a.png"):
         read_colmap(tmp_path, images=tmp_path / "sparse")
 
 
@@ -240,7 +240,7 @@ TEXT = {
     "no size": ({"cameras": "1 PINHOLE 0 6 9 9 4 3"}, "must be 1 to 65536"),
     "a huge size": ({"cameras": "1 PINHOLE 99999999999 6 9 9 4 3"}, "must be 1 to 65536"),
     "a huge centre": ({"cameras": "1 PINHOLE 8 6 9 9 4e300 3"}, "principal point"),
-    "a negative camera": ({"cameras": f"-{CAMERA_LINE}"}, "-1 is not the number"),
+    "a negative camera": ({"cameras": f"-{CAMERA_LINE}"}, "-1 is not a valid id"),
     "no image": ({"images": ""}, "has no images"),
     "half an image": ({"images": "1 1 0 0 0 0 0 4"}, "IMAGE_ID QW"),
     "no line of points": ({"images": f"{VIEW_LINE}\n2{VIEW_LINE}"}, "a line of points"),
@@ -349,7 +349,7 @@ def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch
         undistortion.undistort(ring, tmp_path / "straight")
     with monkeypatch.context() as patch:
         patch.setattr(undistortion, "SCRIPT", "import sys; sys.exit('lost')")
-        with pytest.raises(CaptureError, match=r"images: COLMAP cannot undistort these \(lost\)"):
+        with pytest.raises(CaptureError, match=r"images: COLMAP cannot undistort them \(lost\)"):
             undistortion.undistort(globe, tmp_path / "straight")
     radiance = put(tmp_path / "radiance", view=replace(VIEW, name="a.exr"))
     (radiance / "images" / "a.exr").touch()

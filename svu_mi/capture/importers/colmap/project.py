@@ -1,6 +1,6 @@
 """COLMAP projects: a sparse model and its photographs as a ``Source``.
 
-Its camera space is +X right, +Y down, +Z forward (``OPENCV``), poses are world to camera, and
+COLMAP's camera space is +X right, +Y down, +Z forward (``OPENCV``), poses are world to camera, and
 the centre of the first pixel is (0.5, 0.5). World axes and unit are arbitrary.
 """
 
@@ -31,7 +31,7 @@ IMAGES, MASKS = "images", "masks"
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
-    """Sparse model: cameras by number, and V views sorted by name.
+    """Sparse model: cameras by their id, and V views sorted by name.
 
     ``images`` is the folder of the V photographs; ``masks`` contains None for missing masks.
     """
@@ -85,7 +85,7 @@ def read(path: Path, options: ReadOptions) -> Source:
 
 
 def find_model(path: Path) -> Path | None:
-    """Return the folder of the sparse model in a project, or the folder itself; or None."""
+    """Return the folder of a sparse model: ``path``, or one inside of it; None without any."""
     folders = [Path(os.path.normpath(path / place)) for place in PLACES]
     return next((folder for folder in folders if is_model(folder)), None)
 
@@ -109,8 +109,8 @@ def read_project(
     missing = [file for file in files if not file.is_file()]
     if missing and not (partly and len(missing) < len(files)):
         raise CaptureError(
-            f"{images}: {len(missing)} of {len(files)} photographs are missing, "
-            f"{excerpt(missing[0].relative_to(images))} first; give their folder with --images."
+            f"{images}: {len(missing)} of {len(files)} photographs are missing, first "
+            f"{excerpt(missing[0].relative_to(images))}; give their folder with --images."
         )
     return Project(
         model=model,
@@ -127,7 +127,7 @@ def _label(model: Path, view: Pose) -> str:
 
 
 def _possible_folders(model: Path, name: str) -> list[Path]:
-    """Return candidate paths of the folder ``name``, next to the model and above it."""
+    """Return possible paths of the folder ``name``: in the model, and in its parents."""
     nested = model.absolute().parts[-3:-2] == ("colmap",)
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
     return [Path(os.path.normpath(model / up / name)) for up in ways]

@@ -51,7 +51,7 @@ UNIT = 1e-2  # tolerance of the norm of a quaternion
 class ColmapCamera:
     """Camera of COLMAP: model (a key of ``PARAMETERS``), size in pixels, and parameters.
 
-    Parameters are focal length(s), principal point from the corner (0, 0), and distortion.
+    The parameters are focal length(s), principal point from the corner (0, 0), and distortion.
     """
 
     model: str
@@ -66,18 +66,18 @@ class ColmapCamera:
 
     @property
     def intrinsics(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Focal lengths and principal point of a model in ``FOCAL_LENGTHS``."""
+        """Focal lengths and principal point, if the model is in ``FOCAL_LENGTHS``."""
         count = FOCAL_LENGTHS[self.model]
         focal, center = self.parameters[:count], self.parameters[count : count + 2]
         return (focal[0], focal[-1]), (center[0], center[1])
 
     @property
     def distortion(self) -> tuple[float, ...]:
-        """Distortion parameters of a model in ``FOCAL_LENGTHS``."""
+        """Distortion parameters, if the model is in ``FOCAL_LENGTHS``."""
         return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
 
     def lens(self) -> Lens | None:
-        """Return the lens if it is distorted and supported by ``Lens``, else None."""
+        """Return the lens; None without distortion, or if ``Lens`` does not support the model."""
         names = COEFFICIENTS.get(self.model, ())
         if not names or self.is_pinhole or any(self.distortion[len(names) :]):
             return None
@@ -103,7 +103,7 @@ def is_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[Pose]]:
-    """Read cameras by number, and views sorted by name; prefer ``.bin``, as in COLMAP."""
+    """Read cameras by id, and views sorted by name; prefer ``.bin``, as in COLMAP."""
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = folder / f"cameras{suffix}", folder / f"images{suffix}"
     for path in files:
@@ -182,7 +182,7 @@ class _BinaryReader:
         return self._data[start:end].decode()
 
     def skip(self, size: int) -> int:
-        """Skip ``size`` bytes and return their start."""
+        """Skip ``size`` bytes, and return the offset of the first one."""
         start, self._at = self._at, self._at + size
         if self.left < 0:
             raise ValueError("the file ends too early")
@@ -267,12 +267,12 @@ def _has_content(line: str) -> bool:
 def _fields(line: str, names: Sequence[str], splits: int) -> list[str]:
     fields = line.split(maxsplit=splits)
     if len(fields) < len(names):
-        raise ValueError(f"a line is not {' '.join(names)}")
+        raise ValueError(f"a line does not contain {' '.join(names)}")
     return fields
 
 
 def _number(text: str) -> int:
     number = int(text)
     if not 0 <= number < 2**32:
-        raise ValueError(f"{number} is not the number of a camera")
+        raise ValueError(f"{number} is not a valid id of a camera")
     return number

@@ -3,7 +3,7 @@
 Only needed for lenses outside of OpenCV's model (``lens_distortion``), such as fisheyes.
 
 pycolmap runs in a separate process: it aborts on unexpected input, and its copy of zlib conflicts
-with Pillow's. It only gets models and pictures that this package has decoded before.
+with Pillow's. It only reads models and pictures that this package could decode.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def _run_pycolmap(
         lines = done.stderr.strip().splitlines() or ["the process was killed"]
         reason = next((line for line in lines if "Check failed" in line), lines[-1])
         raise CaptureError(
-            f"{pictures}: COLMAP cannot undistort these ({reason[-LONGEST:]}); check the cameras."
+            f"{pictures}: COLMAP cannot undistort them ({reason[-LONGEST:]}); check the cameras."
         )
     for camera in read_model(output / "sparse")[0].values():
         if not camera.is_pinhole:
