@@ -7,8 +7,8 @@ parameters psi then have the energy
 
 a sum over views and channels with the weights w_i of the estimate. It is divided by the number of
 views if the estimate averages over views. A candidate adds one term. Three sums per row and channel
-determine the energy of all base colours (``objectives.py``). ``Responses`` contain e, p, q, d by
-level and channel.
+determine the energy of all base colours (``objectives.py``). ``Responses`` contain the parts
+e, p, q and d of reflection (``reflection/principled.py``) by level and channel.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ HOPELESS = 16.0  # skip rows whose energy exceeds the truth's by this many nats
 
 
 def columns(levels: int, channels: int) -> int:
-    """Return the number of columns: cos theta, then e, p, q, d of every level and channel."""
+    """Return the number of columns: cos theta, then parts e, p, q, d by level and channel."""
     return 1 + 4 * levels * channels
 
 
@@ -101,7 +101,7 @@ class AngularForecast(Forecast):
         return steps
 
     def _expect(self, texels: np.ndarray, number: int, kernel: Callable[..., Any]) -> np.ndarray:
-        """Return expected measures (number, L) of texels (L,); 0 for unseen texels."""
+        """Return the expected measures that ``kernel`` computes, (number, L); 0 if unseen."""
         place, hypothesis = self.hypotheses.of_texels(texels)
         out = dr.zeros(mi.Float, number * len(place))
         dr.eval(out)

@@ -71,7 +71,7 @@ class Candidates:
 
     @staticmethod
     def without_photograph(capture: Capture) -> Candidates:
-        """Return the sensors of a capture without a used photograph.
+        """Return the sensors of a capture that have no photograph in use.
 
         Raises:
             OptionError: every sensor has a photograph.
@@ -174,7 +174,7 @@ class Candidates:
 def candidates_or_default(
     given: Candidates | Sequence[Any] | None, capture: Capture
 ) -> Candidates:  # fmt: skip
-    """Return ``given`` as candidates; by default sensors without an image, or else a sphere."""
+    """Return ``given`` as candidates; if None, sensors without a photograph, or a sphere."""
     if isinstance(given, Candidates):
         return given
     if isinstance(given, Sequence) and not isinstance(given, str):

@@ -50,7 +50,7 @@ class GreedyScorer:
         return np.where(self._free, known, -np.inf)
 
     def _next(self) -> np.ndarray:
-        """Return the candidates to evaluate before the best one is certain."""
+        """Return the candidates to evaluate before the best one can be determined."""
         pending = np.flatnonzero(self._free & ~self._fresh)
         if not self._lazy:
             return pending

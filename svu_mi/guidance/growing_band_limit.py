@@ -1,4 +1,4 @@
-"""Expected entropy (Eq. 13) as printed: the light sharpens with every view.
+"""Expected entropy as printed in the paper (Eq. 13): light sharpens with every view.
 
     E[H] = sum_psi p(psi | B, L') H(B'_psi, L')
 
@@ -127,7 +127,7 @@ class _WeightedHypotheses(SpectrumHypotheses):
         return row_distances([square], self._known, fall)[0] + self._prior_of(cell)
 
     def _sums(self) -> tuple[Any, Any]:
-        """Return the smallest energy of all hypotheses, and sum exp(smallest - energy)."""
+        """Return the least energy of all hypotheses, and the sum of exp(least - energy)."""
 
         def add(number: Any, least: Any, total: Any) -> tuple[Any, Any, Any]:
             x = self._energy(number)

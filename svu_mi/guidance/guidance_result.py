@@ -156,7 +156,7 @@ class Guidance:
 
 
 def _texel_information_gain(inputs: StrategyInputs) -> np.ndarray:
-    """Return the information gain of every texel by each candidate in order, (C, t)."""
+    """Return every texel's information gain as candidates are added in order, (C, t)."""
     known, count = inputs.photographs, inputs.candidates.count
     forecast = inputs.forecast
     if forecast.is_separable:

@@ -154,7 +154,7 @@ def _spectrum_forecast(
     posterior: Posterior[SpectrumKernel], switches: AnyPreset, observed: Observed,
     texels: np.ndarray, collect: CollectFunction, draw: DrawFunction,
 ) -> SpectrumForecast:  # fmt: skip
-    """Return a forecast in light with the estimate's band limit."""
+    """Return a forecast by power spectra; the light has the estimate's band limit."""
     grid = posterior.grid
     if not isinstance(grid, ParameterGrid):
         raise OptionError(

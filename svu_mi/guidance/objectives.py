@@ -166,7 +166,7 @@ class Colors:
     nodes: np.ndarray | None = None
 
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[ChannelFields]]:
-        """Return the energy of the best colours, Float, and the fields of each channel."""
+        """Return the energy of the best colours, Float, and ``ChannelFields`` by channel."""
         if self.edges[0] == self.edges[-1]:  # known colour, equal to the truth's
             return self.copies * sum(sums[2::3]), []
         thirds = zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True)
@@ -175,7 +175,7 @@ class Colors:
         return self.copies * sum(one.min_energy for one in likelihoods), parts
 
     def row(self, energy: Any, channels: list[ChannelFields], place: Any) -> ColorMarginal:
-        """Integrate over all colours of row ``place``; the best colours have ``energy``."""
+        """Integrate over the colours of row ``place``; ``energy`` is the least one in the row."""
         weight = dr.exp(-energy)
         if not channels:
             c = dr.opaque(mi.Float, float(self.edges[0]))

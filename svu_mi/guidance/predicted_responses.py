@@ -27,7 +27,7 @@ ResponseFunction = Callable[[ViewSample], list[Any]]
 
 @dataclass(frozen=True)
 class Responses:
-    """K columns of V views per texel: 8 bytes per view and texel, 4 K per visible pair.
+    """K columns per texel and view. Memory: 8 bytes per pair, and 4 K if it is visible.
 
     Attributes:
         first: (V T,) Float, first column of every view and texel; 0 if not seen.

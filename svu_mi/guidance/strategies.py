@@ -31,7 +31,7 @@ class ViewScorer(Protocol):
 
 @dataclass(frozen=True)
 class GuidanceStrategy:
-    """Criterion, and the ``unit`` of its scores; ``method`` is required unless None."""
+    """Scorer of candidates, the ``unit`` of scores, and the required ``method`` (None: any)."""
 
     unit: str
     make_scorer: Callable[[StrategyInputs], ViewScorer]
@@ -40,7 +40,7 @@ class GuidanceStrategy:
 
 
 class FarthestScorer:
-    """Farthest-point sampling: largest angle to the views so far."""
+    """Scorer by farthest-point sampling: angle to the nearest of the views so far."""
 
     def __init__(self, directions: np.ndarray, views: int) -> None:
         """Initialise from unit directions (V, 3); the first ``views`` have photographs."""
@@ -48,7 +48,7 @@ class FarthestScorer:
         self._angles = _angles(self._candidates, taken).min(axis=1, initial=np.pi)
 
     def scores(self) -> np.ndarray:
-        """Return the angle to the nearest view so far in radians, (C,)."""
+        """Return each candidate's angle to the nearest of the views so far, in radians, (C,)."""
         return self._angles
 
     def choose(self, candidate: int) -> None:
@@ -76,7 +76,7 @@ def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class RandomScorer:
-    """Uniformly random order."""
+    """Scorer that ranks candidates in random order."""
 
     def __init__(self, candidates: int, seed: int) -> None:
         self._scores = np.random.default_rng(seed).permutation(candidates).astype(np.float64)
@@ -133,7 +133,7 @@ if not TYPE_CHECKING:
 
 
 def strategy_for(name: str, method: str) -> GuidanceStrategy:
-    """Return a strategy by name; raise an error if it needs another method."""
+    """Return a strategy by name; raise an error if it cannot be used with ``method``."""
     strategy = TABLE[name]
     if strategy.method not in (None, method):
         raise OptionError(

@@ -27,9 +27,9 @@ def estimate_for_textures(
 ) -> Estimate:  # fmt: skip
     """Return an RGB estimate with a noise level per texel (``CalibratedKernel``).
 
-    If ``given`` has another posterior, it is recomputed with the same reflection model and known
-    values; visibility is reused. ``robust`` is the number of re-weighting passes. ``sharing``
-    replaces the prior by one that is learned from all texels.
+    If ``given`` is not such an estimate, its posterior is recomputed with the same reflection model
+    and known values; visibility is reused. ``robust`` is the number of re-weighting passes.
+    ``sharing`` replaces the prior by one that is learned from all texels.
     """
     estimated = materialized(given or estimate(observed, whole=True, progress=progress), progress)
     kernel = estimated.posterior.kernel

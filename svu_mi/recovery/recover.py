@@ -68,7 +68,7 @@ def recover(
             other losses for ``sh`` and ``sh+path`` (whose epoch of ``path`` is then the paper's).
             ``polish`` and ``paper_polish`` run the epoch of ``sh+path`` alone (``path`` only).
         sharing: Regularisation of uncertain texels by similar ones. True learns a common prior;
-            with presets of the paper, it applies Eq. 14 and 15 to the posterior of Eq. 11 (from
+            with presets of the paper, True applies Eq. 14 and 15 to the posterior of Eq. 11 (from
             ``source`` if that is over (roughness, Ks)). A ``GlobalSharing`` is used as given.
         tv: Weight of total variation; replaces ``tv`` in ``sh`` and ``path``.
         parameters: Textures to recover; the others keep ``start`` or the scene's values.

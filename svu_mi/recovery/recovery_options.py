@@ -134,7 +134,7 @@ class PathOptions:
         max_depth: Maximum path length: 2 for direct light, -1 for any length. Default None: the
             value of the scene's integrator.
         loss: Loss of a pixel: ``l2`` (default); ``l1``, as in the paper; or ``relative`` (l2
-            divided by squared radiance). The latter is for dark textures; noise biases it.
+            divided by squared radiance). Use ``relative`` for dark textures; noise biases it.
         halves: True (default) to use each half of a pixel's paths for the gradient of the other.
             This saves one of three passes if ``spp`` is even. Disable it for ``l1``.
         tv: Weight of total variation, >= 0 (default 2). Raise it for noisy textures.

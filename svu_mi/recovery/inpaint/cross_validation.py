@@ -61,7 +61,7 @@ def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
 
 
 def _cluster_directions(unit: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """Return the cluster (n,) of each unit vector (n, 3), by spherical k-means."""
+    """Return the cluster index (n,) of unit vectors (n, 3), by spherical k-means."""
     random = np.random.default_rng(seed)
     centres = unit[random.choice(len(unit), min(number, len(unit)), replace=False)]
     for _ in range(8):
@@ -103,7 +103,7 @@ class HoldoutErrors:
         return HoldoutErrors(errors, importance_weights(far, distances_to_known(training, texels)))
 
     def products(self, rows: slice) -> np.ndarray:
-        """Return mean products of the errors of two predictors, (C, G, G)."""
+        """Return mean products of the errors of each pair of predictors, (C, G, G)."""
         off = self.errors[:, rows].transpose(1, 0, 2)
         return np.asarray((off * self.weights) @ off.transpose(0, 2, 1))
 
@@ -146,12 +146,12 @@ class PredictorErrors:
 
     @cached_property
     def all_weights(self) -> np.ndarray:
-        """Weights of all predictors in m, (G,)."""
+        """Weights of the predictors in the mean m, (G,)."""
         return self._weights(np.arange(len(TITLES)))
 
     @cached_property
     def tv_weights(self) -> np.ndarray:
-        """Weights of all predictors in s, (G,)."""
+        """Weights of the predictors in the mean s, (G,)."""
         return self._weights(np.arange(len(MEAN_WEIGHTS)))
 
     @cached_property
@@ -163,7 +163,7 @@ class PredictorErrors:
         return float(min(((h + np.sqrt(h**2 + TOLERANCE**2 * d)) / d).min(), 1))
 
     def weights(self, max_share: float = 1.0) -> dict[str, float]:
-        """Return weights by title of the predictor, with a ``share`` up to ``max_share``."""
+        """Return weights by title of the predictor; ``share`` is limited to ``max_share``."""
         share = min(self.share, max_share)
         weights = self.tv_weights + share * (self.all_weights - self.tv_weights)
         return dict(zip(TITLES, weights.tolist(), strict=True))

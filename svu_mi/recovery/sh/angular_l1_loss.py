@@ -37,7 +37,9 @@ from svu_mi.statistics.gather_statistics import GRAZING, Values, flatten_values,
 
 @dataclass(frozen=True, kw_only=True)
 class AngularObjective:
-    """Mean absolute error sum |b - r| / (n C unit) of n visible samples (texel, view).
+    """Mean absolute error sum |b - r| / (n C u) of n visible samples (texel, view).
+
+    u is the mean radiance of the capture (``Visibility.scale``).
 
     Attributes:
         views: Packed photographs with C = 3 channels.
@@ -47,7 +49,7 @@ class AngularObjective:
         light: Light that the texels reflect into their views, for the SH fit (Eq. 12).
         moments: Moments of the diffuse irradiance, 8 Floats (S,) per channel.
         place: (S,) UInt32, flat index of each texel in a texture.
-        factor: Opaque Float, 1 / (n C unit).
+        factor: Opaque Float, 1 / (n C u).
     """
 
     views: Views

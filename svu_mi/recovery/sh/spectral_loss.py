@@ -8,7 +8,7 @@ With R the directional albedo of a lobe (1 unless enabled by the preset),
     S_model(l)    = c_model^2 with S_L(l) in place of c_L(l, m)^2           (Eq. 11)
 
 The loss is the mean absolute difference over n coefficients (l, m) or degrees l, S texels and C
-channels. Its unit is the mean radiance or power of the capture.
+channels, divided by the unit: the mean radiance or power of the capture.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SpectralObjective:
         irradiance: Irradiance E, a Float (S,) per channel.
         texel: (S,) UInt32, index of each observed texel.
         place: (S,) UInt32, flat index of each observed texel in a texture.
-        prefilter: Opaque Float, alpha'^2 of the light's prefilter to undo, or 0.
+        prefilter: Opaque Float, alpha'^2 of the light's prefilter, which the model undoes; or 0.
         albedo: (ALBEDO_LEVELS,) Float, R by roughness.
         factor: Opaque Float, 1 / (S C n unit).
     """

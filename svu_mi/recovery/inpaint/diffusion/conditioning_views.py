@@ -63,7 +63,7 @@ class ConditioningViews:
         return tuple(capture.sensors[view] for view in self.photographs)
 
     def name(self, place: int) -> str:
-        """Return the name of candidate view ``place``."""
+        """Return the name of the candidate view with index ``place``."""
         if self.photographs is None:
             return str(self.sensors[place].id())
         return self.capture.names[self.photographs[place]]

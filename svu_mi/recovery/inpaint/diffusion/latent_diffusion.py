@@ -132,7 +132,7 @@ class LatentDiffusion:
         return srgb(linear) if name in self.family.encoded else linear
 
     def _stacked(self, names: Names, picture: ModelInput) -> np.ndarray:
-        """Return the input maps of one output image of the model, (h, w, 3) in [0, 1]."""
+        """Stack the maps ``names`` as channels of an input image, (h, w, 3) in [0, 1]."""
         channels = []
         for channel, name in enumerate(names):
             if name is None:
@@ -143,7 +143,7 @@ class LatentDiffusion:
         return np.stack(channels, axis=-1)
 
     def _unstacked(self, names: Names, image: np.ndarray) -> dict[str, np.ndarray]:
-        """Split an output image (h, w, 3) into linear maps by parameter."""
+        """Split an output image (h, w, 3) into linear maps of the parameters ``names``."""
         maps = {}
         for name in dict.fromkeys(name for name in names if name):
             first = names.index(name)

@@ -1,6 +1,6 @@
 """Diffusion models of materials: input, output, options, and supported families.
 
-All are latent diffusion models [Rombach et al. 2022] that denoise material maps of an image:
+All families are latent diffusion models [Rombach et al. 2022] that predict material maps:
 
     Marigold        one run for albedo and an image with roughness and metallic as channels;
                     no prompt; photograph and albedo in sRGB [Ke et al. 2025]
