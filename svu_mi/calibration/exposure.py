@@ -1,7 +1,7 @@
 """Exposure gains of photographs: estimated under a known light, and divided out.
 
 A gain g multiplies a channel of one photograph: b = g r. Log gains are unknowns of the normal
-equations (``gauss_newton``), alone or together with the light. Their mean belongs to the light.
+equations (``gauss_newton``), alone or together with the light. Their mean is part of the light.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def estimate_gains(
 
 
 def equalized(capture: Capture, gains: FoundGains) -> Capture:
-    """Return the capture with photographs divided by their gains, and outliers unused.
+    """Return the capture with photographs divided by their gains, and outliers marked unused.
 
     Args:
         capture: Capture; not modified.
@@ -168,7 +168,7 @@ def step_gains(
         noise: (n,) noise of the texels; None keeps the flags.
 
     Returns:
-        New gains, and the mean (3,) of their logarithms, which belongs to the light.
+        New gains, and the mean (3,) of their logarithms, which becomes part of the light.
     """
     left_out = gains.odd
     if noise is not None:

@@ -48,7 +48,7 @@ class AxisHypothesis:
         return tuple(fix.name for fix in self.fixes)
 
     def relative_poses(self, poses: np.ndarray) -> np.ndarray:
-        """Return poses (V, 4, 4) relative to the uncorrected mesh, for use with its scene."""
+        """Return corrected poses (V, 4, 4) for use with the uncorrected mesh of the scene."""
         for fix in self.fixes:
             if fix.kind == "camera":
                 poses = correct_poses(poses, fix, self.camera_axes)
@@ -65,7 +65,7 @@ def _fixes_of(kind: Kind) -> list[AxisFix]:
 def pose_hypotheses() -> tuple[AxisHypothesis, ...]:
     """Return all combinations of camera axes, inverted poses and mesh corrections.
 
-    Sorted by the number of corrections; the first has none.
+    They are sorted by the number of corrections, from 0.
     """
     inverse = FIXES["camera-inverse"]
     turns = [(), *((fix,) for fix in _fixes_of("camera") if fix is not inverse)]
@@ -82,7 +82,7 @@ def pose_hypotheses() -> tuple[AxisHypothesis, ...]:
 def light_hypotheses() -> tuple[AxisHypothesis, ...]:
     """Return the 48 orientations of a map, each as the shortest list of corrections.
 
-    Sorted by the number of corrections; the first has none.
+    They are sorted by the number of corrections, from 0.
     """
     queue = [AxisHypothesis()]
     by_rotation = {}
@@ -101,7 +101,7 @@ def apply_fixes(
 ) -> Capture:
     """Return a copy of a capture with corrections applied in order.
 
-    ``camera_axes``: (4, 4) matrix that the importer multiplied camera-to-world matrices by from the
+    ``camera_axes``: (4, 4) matrix that the importer multiplied to camera-to-world matrices from the
     right; only used by ``camera-inverse``.
     """
     for fix in fixes:

@@ -1,4 +1,4 @@
-"""The check of a capture against its photographs."""
+"""Check of cameras, mesh, light and gains of a capture against its photographs."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def check(
 
     Args:
         capture: Photographs, poses, mesh and light; not modified. Masks are optional. Without a
-            light (``load_capture(light="optional")``), silhouettes and texture are compared only.
+            light (``load_capture(light="optional")``), only silhouettes and texture are compared.
         gains: Function that returns gains of the used photographs; called if cameras, mesh and
             light fit. If None, only large differences of gains are detected.
         progress: Display of the progress.
@@ -97,7 +97,7 @@ def find_axis_mistakes(
     """Test all known axis mistakes on a capture, whose photographs may be reduced.
 
     The order is: mesh inside out; poses of cameras and mesh, by silhouettes and agreement of
-    views; V axis of the texture, for unknown light; the 48 orientations of the environment map.
+    views; V axis of the texture, without the light; the 48 orientations of the environment map.
 
     Returns:
         Findings of poses, light and texture, and the (4, 4) camera axes for ``camera-inverse``.
@@ -182,12 +182,12 @@ def _samples_and_light(
 
 
 def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:
-    """Compare the gains of photographs with the light, and with each other.
+    """Check the gains of photographs relative to the light, and to each other.
 
     Args:
         capture: Capture with the original photographs.
         small: Capture with reduced photographs.
-        axial: Findings of axes, which must fit.
+        axial: Findings of axes; if axes may be wrong, gains are ``unknown``.
     """
     emitter = emitter_of(capture)
     if emitter is None:

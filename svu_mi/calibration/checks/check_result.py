@@ -61,9 +61,9 @@ class ViewCheck:
         view: Index into the photographs of the capture.
         name: Name of the photograph.
         overlap: Intersection over union of silhouette and mask; None without a mask.
-        contrast: Mean rank in [0, 1] of the image gradient along the outline; 0.5 is chance. None
+        contrast: Mean rank in [0, 1] of the image gradient along the outline; 0.5 by chance. None
             if the mesh is outside the image.
-        color_error: Mean difference to a diffuse rendering under the given light, relative to the
+        color_error: Mean difference from a diffuse rendering under the given light, relative to the
             mean radiance; None if the object is not seen, or without a light.
     """
 
@@ -118,7 +118,7 @@ class Check:
 
     @property
     def fixes(self) -> tuple[str, ...]:
-        """Names of all corrections with the verdict ``wrong``."""
+        """Names of the corrections in all findings with the verdict ``wrong``."""
         wrong = (finding for finding in self.findings if finding.verdict == "wrong")
         return tuple(name for finding in wrong for name in finding.fixes)
 

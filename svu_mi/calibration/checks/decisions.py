@@ -77,7 +77,7 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
 
 
 def with_inside_out(poses: Finding, behind: float) -> Finding:
-    """Add ``mesh-inside-out`` to a finding; ``behind``: seen fraction of back faces."""
+    """Add ``mesh-inside-out`` to a finding; ``behind``: back faces / seen surface."""
     sentence = (
         f"{_causes((INSIDE_OUT,))}: {behind:.0%} of its seen surface are back faces (in a Mitsuba "
         f"scene, set flip_normals on the shape). {poses.sentence}"
@@ -188,7 +188,7 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
     """Decide on the gains of photographs.
 
     Args:
-        excess: Excess of all photographs over the light; None if unknown.
+        excess: Surface brighter than white in all photographs; None if unknown.
         gains: Relative gains of V photographs; None if there are too few.
         names: Names of the V photographs.
     """

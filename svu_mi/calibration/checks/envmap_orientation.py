@@ -8,8 +8,8 @@ Reflectance and roughness are unknown, so the comparison uses
 
 Under constant light, brightness depends on colour and ambient occlusion, not on the normal. The
 light is implausible if the normal explains both the differences between neighbours and the
-overall brightness; paint rarely causes both. On three objects (16 photographs of 96 pixels; own,
-matte, glossy and metal materials), ``local`` and ``spread`` are at most 0.05 and 0.06 under
+overall brightness; paint rarely causes both. On three objects (16 photographs of 96 pixels; their
+own, matte, glossy and metal materials), ``local`` and ``spread`` are at most 0.05 and 0.06 under
 constant light. If constant light is assumed instead of the studio, clear sky or window, they are
 at least 0.11 and 0.50; instead of the overcast sky, which is nearly constant, 0.01 and 0.07.
 """
@@ -49,7 +49,7 @@ class LightScore:
 
     Attributes:
         hypothesis: Tested corrections.
-        shading: Correlation of neighbour differences in radiance and predicted irradiance.
+        shading: Correlation of radiance and predicted irradiance, as neighbour differences.
         bare: As ``shading``, after regression on colour.
         highlights: Fraction of the variance between views that filtered light explains.
     """
@@ -75,7 +75,7 @@ def score_light(
     sky: DistantLight, points: Points, sightings: PointSamples, cosines: np.ndarray,
     texture: Texture | None, step: Callable[[int, int], None],
 ) -> tuple[LightScore, ...]:  # fmt: skip
-    """Score all orientations, best first; empty if too little of the object is seen.
+    """Return all scores, best first; empty if too little of the object is seen.
 
     Args:
         sky: Distant light.
@@ -150,7 +150,7 @@ def neighbors_of(position: np.ndarray) -> np.ndarray:
 
 
 def clipped_differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Return clipped differences (P, ...) of values (N, ...) within pairs."""
+    """Return clipped differences (P, ...) of values (N, ...) between points of pairs."""
     steps = _differences(values, pairs)
     limit = CLIP * float(np.median(np.abs(steps)))
     return np.clip(steps, -limit, limit)
@@ -168,10 +168,10 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def _highlights(
     points: Points, sightings: PointSamples
 ) -> tuple[np.ndarray, Callable[[np.ndarray], float]]:
-    """Return mirror directions (V N, 3), and a function that scores light (L, V N, 3) from them.
+    """Return mirror directions (V N, 3), and a function that scores light (L, V N, 3) from there.
 
-    The score is the fraction of the differences between views of a point that the best of L lobes
-    explains, relative to the brightness of the point.
+    The light is filtered by L lobes. The score is the fraction of a point's changes between views,
+    relative to the brightness of the point, that the best lobe explains.
     """
     _, mirror = sightings.mirrored(points)
     seen = (sightings.seen & (sightings.seen.sum(axis=0) >= 2))[..., None]
@@ -207,8 +207,8 @@ class NormalDependence:
     """Dependence of brightness on the normal.
 
     Attributes:
-        local: Explained fraction of log brightness differences of neighbours, in [0, 1].
-        spread: Standard deviation of the explained log brightness.
+        local: Fraction of log brightness differences of neighbours that normals explain.
+        spread: Standard deviation of the log brightness that normals explain.
     """
 
     local: float

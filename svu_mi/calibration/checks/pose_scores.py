@@ -49,8 +49,8 @@ class PoseScore:
         masked: True if silhouettes are compared with masks.
         fits: (V,) intersection over union with the mask, or gradient rank along the outline.
         agreement: Agreement of views, see ``surface_samples.agreement``.
-        texture: Correlation with the texture or the flipped texture; 0 without texture.
-        misfit: (N,) squared differences of ``texture``; NaN for unseen points.
+        texture: Correlation with the texture, as given or flipped; 0 without texture.
+        misfit: (N,) residual variances, see ``texture_fit``; NaN for unseen points.
     """
 
     hypothesis: AxisHypothesis
@@ -81,7 +81,7 @@ class PoseScore:
 def score_poses(
     capture: Capture, points: Points, texture: Texture | None, step: Callable[[int, int], None]
 ) -> tuple[PoseScore, ...]:
-    """Score all hypotheses on reduced photographs, best first (see ``score_light``)."""
+    """Return scores of the likely hypotheses on reduced photographs, best first."""
     frames = Thumbnails.of(capture)
     small = Thumbnails.of(limit_views(reduce_photographs(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
@@ -128,7 +128,7 @@ def outline_contrast(seen: np.ndarray, rank: np.ndarray) -> float | None:
 def clearly_better(one: PoseScore, other: PoseScore) -> bool:
     """Return whether a hypothesis is significantly better in one cue, and worse in none.
 
-    Much better silhouettes decide alone: views of a shiny object agree less than its background.
+    Much better silhouettes suffice, as views agree less on a shiny object than on background.
     """
     for better, worse in ((one, other), (other, one)):
         closer = better.fits - worse.fits
@@ -138,7 +138,7 @@ def clearly_better(one: PoseScore, other: PoseScore) -> bool:
 
 
 def _favoring_cues(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
-    """Return flags: silhouettes, agreement of views and texture favour ``one``."""
+    """Return three flags: silhouettes, agreement of views, or texture favour ``one``."""
     closer = one.silhouette - other.silhouette
     shapes = closer > 0.005 and 1 - other.silhouette > 1.3 * (1 - one.silhouette)
     shapes = shapes if one.masked else closer > 0.015

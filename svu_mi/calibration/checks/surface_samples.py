@@ -111,12 +111,12 @@ class PointSamples:
     toward: np.ndarray
 
     def mirrored(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosines (V, N) to the normals, and mirror directions (V, N, 3)."""
+        """Return cosines (V, N) of view angles, and mirror directions (V, N, 3)."""
         cosine = np.einsum("vni,ni->vn", self.toward, points.normal)
         return cosine, 2 * cosine[..., None] * points.normal - self.toward
 
     def typical(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the median (N, 3) over the views of each point, and flags (N,) of seen points."""
+        """Return the median radiance (N, 3) of points over views, and flags (N,) of seen points."""
         known = self.seen.sum(axis=0) >= 1
         values = np.where(self.seen[..., None], self.radiance, np.nan)
         result = np.zeros(values.shape[1:])
@@ -140,7 +140,7 @@ def sample_points(points: Points, frames: Thumbnails) -> PointSamples:
 
 
 def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarray:
-    """Return (N, K) float32 cosines to directions (K, 3); 0 if occluded."""
+    """Return cosines (N, K) of normals and directions (K, 3), float32; 0 if occluded."""
     shape = len(points.position), len(directions)
     point, cell = _pairs(shape)
     surface = points.surface(point)
@@ -265,7 +265,7 @@ class DistantLight:
         )
 
     def arriving(self, matrix: np.ndarray) -> np.ndarray:
-        """Return the flux (K, 3) around ``DIRECTIONS`` of the map rotated by ``matrix`` (3, 3)."""
+        """Return the flux (K, 3) near ``DIRECTIONS`` of the map rotated by ``matrix`` (3, 3)."""
         cell = scipy.spatial.cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
         count = len(DIRECTIONS)
         return np.stack([np.bincount(cell, self.flux[:, c], count) for c in range(3)], axis=-1)

@@ -79,8 +79,8 @@ def tonemapped(radiance: np.ndarray) -> np.ndarray:
 def reduce_photographs(capture: Capture, side: int) -> Capture:
     """Reduce photographs and sensors to at most ``side`` pixels per side.
 
-    Factors are whole numbers. A pixel is the mean of the usable pixels of a block, NaN if there are
-    none; incomplete blocks at the borders are dropped. Radiance is divided by its median over
+    Reduction factors are integers. A pixel is the mean of the usable pixels of a block, NaN without
+    any; incomplete blocks at the borders are dropped. Radiance is divided by its median over
     non-black pixels, and exposures are multiplied by it. Unused photographs are unchanged.
     """
     if not any(capture.used):

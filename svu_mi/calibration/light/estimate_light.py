@@ -145,7 +145,7 @@ class LightProblem:
         """Estimate the light.
 
         Args:
-            depths: Pairs of a number of cells and a number of iterations.
+            depths: Pairs (number of cells, number of iterations).
             start: Fit with fewer cells to start from (default: constant light).
             after_round: Callback after each iteration.
         """

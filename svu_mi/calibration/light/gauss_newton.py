@@ -29,7 +29,7 @@ EXPOSURE, BALANCE = 0.5, 0.2  # prior sd of log gains: common part and per chann
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of log radiance and log gains, without materials.
+    """Normal equations of log radiance and log gains, with materials eliminated.
 
     Attributes:
         matrix: (3 M, 3 M) float64 precision, channel by channel. M is the number of unknown cells
@@ -95,7 +95,7 @@ def normal_equations(
     transport: Transport, light: np.ndarray, posterior: Posterior[CalibratedKernel],
     overdispersion: float, priors: LightPriors | None = None, gains: np.ndarray | None = None,
 ) -> NormalEquations:  # fmt: skip
-    """Linearize the samples around a light, gains, and the posterior mean materials.
+    """Return normal equations at a light, gains, and the posterior mean materials.
 
     Args:
         transport: Samples and N cells.
@@ -139,7 +139,7 @@ def normal_equations(
 def _with_gains(
     matrix: np.ndarray, gradient: np.ndarray, gains: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Append log gains (V, 3) and their prior to matrix (3 N, 3 N) and gradient (3, N)."""
+    """Extend matrix (3 N, 3 N) and gradient (3, N) by log gains (V, 3) and their prior."""
     number, views = gradient.shape[1], len(gains)
     own = np.linalg.inv(EXPOSURE**2 + BALANCE**2 * np.eye(3))
     whole = np.zeros((3, number + views, 3, number + views))
@@ -153,7 +153,7 @@ def _with_gains(
 def _eliminated(
     samples: TexelSamples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
 ) -> np.ndarray:
-    """Return L^-1 H_(theta x), (n P, 3 M) float32; its square is subtracted from the matrix.
+    """Return E = L^-1 H_(theta x), (n P, 3 M) float32; the matrix is reduced by E^T E.
 
     Loops over texels to read J, which is large, only once.
     """
@@ -177,7 +177,7 @@ def _material_equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return matrices (n, P, P) and gradients (n, P) of materials; ``off``: weighted residuals.
 
-    Base colours have a prior around their mean, or they would compensate errors of the light.
+    Base colours have a prior around their mean; otherwise they would absorb errors of the light.
     """
     own = samples.sum(np.einsum("s,sci,scj->sij", w, slopes, slopes, optimize=True))
     roughness, mixed = MATERIAL_SD
@@ -208,5 +208,5 @@ def _linearized(
 
 
 def _dot(x: Sequence[Any], parts: Sequence[Any]) -> Any:
-    """Return the sum of products."""
+    """Return the sum of products of ``x`` and ``parts``."""
     return sum(a * b for a, b in zip(x, parts, strict=True))

@@ -1,7 +1,7 @@
-"""Scale of estimated light from a known base colour: a grey card or a mean.
+"""Scale of estimated light from a known base colour: of a grey card, or the mean.
 
-Photographs hardly determine a factor of the light that is compensated by base colour. The light is
-therefore scaled until the estimated base colour has the known value.
+Photographs hardly distinguish brighter light from brighter base colour. The light is therefore
+scaled until the estimated base colour has the known value.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _scaled(
     light: LightEstimate, observed: Observed, excess: Brightness,
     known: Mapping[str, float] | None = None,
 ) -> LightEstimate:  # fmt: skip
-    """Scale light until ``excess`` is 1, with tolerance ``DONE``."""
+    """Scale light until ``excess`` of the estimate is 1, with tolerance ``DONE``."""
     if light.moves:
         raise CaptureError(
             "Base colours cannot be estimated under light that moves with the camera; set its "

@@ -57,13 +57,13 @@ class LightEstimate:
     Attributes:
         logarithm: (N, 3) float64 posterior mean of log radiance.
         cell_sd: (N,) float64 standard deviation of the channel mean of ``logarithm``, at fixed
-            level.
-        draws: (K, N, 3) float64 posterior samples of log radiance, at fixed level.
+            scale.
+        draws: (K, N, 3) float64 posterior samples of log radiance, at fixed scale.
         scale_sd: (3,) float64 standard deviation of the log scale per channel; 0 if given.
         moves: True if the light moves with the cameras.
         misfit: Noise of the median texel relative to the mean radiance, for fixed and for moving
             light; NaN if not tested.
-        widening: Factor of the overdispersion of textures due to the uncertainty of the light.
+        widening: Factor applied to the overdispersion of textures, as the light is uncertain.
         texels: Number of texels used.
         remarks: Sentences about undetermined parts.
         gains: Gains estimated together with the light; None if given.
@@ -111,7 +111,7 @@ class LightEstimate:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """(129, 256) float32 fraction of the prior variance removed, at fixed scale."""
+        """(129, 256) float32 reduction of the prior variance, in [0, 1], at fixed scale."""
         return np.clip(1 - np.square(self._details / SD), 0, 1).astype(np.float32)
 
     @property
@@ -141,7 +141,7 @@ class LightEstimate:
         )
 
     def _map(self, logarithm: np.ndarray) -> np.ndarray:
-        """Return a map of radiance that preserves the mean of each cell."""
+        """Return a radiance map whose mean over each cell is the radiance of the cell."""
         radiance = np.exp(self._interpolated(logarithm))
         owner = self._around[1][..., 0]
         count = np.maximum(np.bincount(owner.ravel(), self._solid.ravel(), self.cells), 1e-300)
@@ -165,7 +165,7 @@ class LightEstimate:
 
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray]:
-        """Distances and indices of the 4 nearest cells of each node, (129, 256, 4)."""
+        """Distances and indices of the 4 nearest cells of each pixel, (129, 256, 4)."""
         tree = scipy.spatial.cKDTree(fibonacci(self.cells))
         distance, near = tree.query(directions(COLUMNS, ROWS), k=4)
         return np.asarray(distance), np.asarray(near)

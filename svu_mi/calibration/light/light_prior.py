@@ -32,7 +32,7 @@ BROAD, NARROW = np.radians(40), np.radians(12)
 
 
 class Amplitudes(NamedTuple):
-    """Standard deviations of the scale, the broad, the narrow and the independent part."""
+    """Standard deviations of the prior: scale, broad, narrow and independent part."""
 
     scale: float
     broad: float
@@ -50,19 +50,19 @@ DARK = 1e-4  # radiance of black pixels, relative to the mean
 
 @dataclass(frozen=True)
 class LightPrior:
-    """Precisions (N, N) float64 of log radiance in N cells: of the channel mean, and of the
-    difference of a channel from it."""
+    """Precisions (N, N) float64 of log radiance in N cells: one for the channel mean, one
+    for the difference between a channel and the mean."""
 
     brightness: np.ndarray
     color: np.ndarray
 
     def pull(self, x: np.ndarray) -> np.ndarray:
-        """Return the gradient (N, 3) of the energy at log radiance x (N, 3)."""
+        """Return the gradient (N, 3) of the negative log prior at log radiance x (N, 3)."""
         u = x.mean(axis=1, keepdims=True)
         return self.brightness @ u / 3 + self.color @ (x - u)
 
     def precision(self) -> np.ndarray:
-        """Return the joint precision, (3 N, 3 N) float64, channel by channel."""
+        """Return the precision of all channels, (3 N, 3 N) float64, channel by channel."""
         between = np.full((3, 3), 1 / 3)
         return np.kron(between / 3, self.brightness) + np.kron(np.eye(3) - between, self.color)
 
@@ -110,7 +110,7 @@ class BackgroundPixels:
     radiance: np.ndarray
 
     def at(self, number: int) -> SeenCells:
-        """Return averages over N cells."""
+        """Return averages of the pixels in each of N cells."""
         cells = nearest_cells(self.direction, number)
         count = np.bincount(cells, minlength=number)
         sums = [np.bincount(cells, channel, number) for channel in self.radiance.T]

@@ -74,7 +74,7 @@ class TexelSamples:
         return np.add.reduceat(values, self.first, axis=0)
 
     def without_steep_views(self) -> tuple[TexelSamples, np.ndarray]:
-        """Return the samples without steep views and rarely seen texels, and their indices."""
+        """Drop steep views and rarely seen texels; return the kept samples and their indices."""
         kept = self.cosine > FACING
         enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
         if not enough.any():

@@ -88,7 +88,7 @@ def compare_lights(estimate: LightEstimate, emitter: Any) -> LightComparison:
 
 
 def summary_sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
-    """Yield sentences about an estimate; ``up``: (3,) zenith of elevations (default: +Y)."""
+    """Yield sentences about an estimate; ``up``: (3,) zenith direction (default: +Y)."""
     yield f"The photographs determine {100 * estimate.known_part:.0f} % of the light's variance."
     yield direction_sentence(estimate, UP if up is None else up)
     yield scale_sentence(estimate)

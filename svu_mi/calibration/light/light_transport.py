@@ -43,7 +43,7 @@ class Materials(NamedTuple):
     color: np.ndarray
 
     def mixture(self, owner: np.ndarray) -> Mixture:
-        """Return the mixtures of the texels ``owner`` of S samples, of shape (S, 1)."""
+        """Return the mixture, (S, 1), for S samples of the texels with indices ``owner``."""
         return mixture(*(values[owner, None] for values in self.mixed.T))
 
 
@@ -65,7 +65,7 @@ class Columns(NamedTuple):
 
 
 class _CellReflection(NamedTuple):
-    """Reflection of one cell: diffuse a + roughness b, Fresnel factors of p, q, d, and lobes."""
+    """Reflection of one cell: diffuse (a + roughness b), Fresnel factors of p, q, d, and lobes."""
 
     diffuse: tuple[Any, Any]
     fresnel: tuple[Any, Any, Any]
@@ -223,10 +223,10 @@ def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset)
 
 @dataclass(frozen=True)
 class SampleMoments:
-    """Sums over the samples of n texels under a light of any scale.
+    """Sums over the samples of n texels, for posteriors at any scale of the light.
 
-    ``table``: (5, 5, n, K, 3) float64 weighted products of e, p, q, d and the observation at K
-    roughness levels.
+    ``table``: (5, 5, n, K, 3) float64 sums of weighted products of e, p, q, d and observation
+    at K roughness levels.
     """
 
     samples: TexelSamples
@@ -234,7 +234,7 @@ class SampleMoments:
 
     @staticmethod
     def of(samples: TexelSamples, columns: Columns) -> SampleMoments:
-        """Sum over samples, given the ``columns_of`` a light."""
+        """Sum products over samples; ``columns``: result of ``columns_of``."""
         observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), columns.e.shape)
         parts, weight = (*columns, observed), samples.weight[:, None, None]
         table = np.empty((len(parts), len(parts), samples.texels, *columns.e.shape[1:]))
@@ -247,7 +247,7 @@ class SampleMoments:
     def posterior(
         self, switches: AngularPreset, factor: np.ndarray | float = 1.0
     ) -> Posterior[CalibratedKernel]:
-        """Return the posterior under light times a factor, scalar or (3,)."""
+        """Return the posterior under the light times ``factor``, scalar or (3,)."""
         samples, unit = self.samples, np.eye(len(self.table))[..., None]
         e, p, q, d, observed = (row * np.ones(3) for row in unit)
         mixed = columns(factor * e, factor * p, factor * q, factor * d, observed)

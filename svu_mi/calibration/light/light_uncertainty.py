@@ -66,7 +66,7 @@ class LightScale:
         best: (3,) mean.
         common: Standard deviation of the part common to the channels.
         tint: (3,) standard deviations of the parts of single channels.
-        anchored: True if enough of the surface is dielectric to determine the level.
+        anchored: True if enough of the surface is dielectric to determine the scale.
     """
 
     best: np.ndarray
@@ -84,9 +84,9 @@ def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -
     """Return the distribution of the scale of the light.
 
     The brighter the light, the smaller the range of base colours in [0, 1] that explain the object
-    [MacKay 1992, the Occam factor]; it counts once per channel, not per texel, as texels share few
-    materials. Steep views are skipped: their pixels also cover neighbours of the texel, which
-    resembles Fresnel reflection of brighter light.
+    [MacKay 1992, the Occam factor]. This range counts once per channel, not per texel, as texels
+    share few materials. Steep views are skipped, as their pixels also cover neighbours of the
+    texel, which resembles Fresnel reflection of brighter light.
     """
     samples, kept = samples.without_steep_views()
     moments = SampleMoments.of(samples, columns.subset(kept))
@@ -116,7 +116,7 @@ def _common_factor(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
 
 
 def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviations (3,) of log tint at a level, by Newton's method."""
+    """Return means and standard deviations (3,) of log tint at a common log scale ``level``."""
 
     def energy(tint: np.ndarray) -> float:
         return COLORS_SHARPER * worse(level + tint) + 0.5 * float(tint @ tint) / COLOR.scale**2
@@ -139,7 +139,7 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
 def _slope_and_covariance(
     energy: Callable[[np.ndarray], float], tint: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return slope (3,) and inverse curvature (3, 3) of the energy of the tint."""
+    """Return gradient (3,) and inverse Hessian (3, 3) of ``energy`` at a tint."""
     steps = TINT * np.concatenate([TINTS, -TINTS])
     excess = np.array([energy(tint + step) for step in steps]) - least
     a, b = (steps @ PLANE).T
@@ -195,10 +195,10 @@ def widening_of(
     transport: Transport, columns: Columns, draws: np.ndarray, level: LightScale,
     switches: AngularPreset,
 ) -> float:  # fmt: skip
-    """Return the factor of the variance of textures due to the uncertainty of the light.
+    """Return the ratio of texture variances with and without uncertainty of the light.
 
     The variance of the posterior means under K sampled lights, (K, N, 3) logarithms, adds to the
-    posterior variance. The common factor of base colours is varied separately.
+    posterior variance. Base colours are multiplied by the scale of each light before.
     """
     samples, parts = transport.samples, []
     own = SampleMoments.of(samples, columns).posterior(switches, np.exp(level.best))

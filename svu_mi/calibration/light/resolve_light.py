@@ -115,7 +115,7 @@ def with_resolved_light(
 def photo_gains(
     capture: Capture, elsewhere: Path | None = None, progress: Progress | None = None
 ) -> FoundGains:
-    """Return gains of the photographs, estimated with a missing light if necessary.
+    """Return gains of the photographs; a missing light is estimated too.
 
     See ``with_resolved_light`` for arguments and errors.
     """
