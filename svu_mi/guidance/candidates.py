@@ -54,7 +54,7 @@ class Candidates:
                 f"shape {reachable.shape}."
             )
         if not reachable.any():
-            raise OptionError("Candidates: no candidate is reachable; add one that is.")
+            raise OptionError("Candidates: no candidate is reachable; add a reachable one.")
         for sensor, name in zip(self.sensors, self.names, strict=True):
             check_sensor(sensor, f"Candidate '{name}'")
 

@@ -8,7 +8,7 @@ probability of a hypothesis depends on L', too. With the spectrum S_B of the pho
     p(psi | B, L') ~ exp(-sum_l (S_B(l) - Ks^2 e_l S_L'(l))^2 / (2 sigma^2)) p(psi).
 
 E[H] therefore changes in every step, and every candidate has its own weights. S_B is fitted to
-fewer samples than S_L' and regularised more strongly, which favours weaker reflections.
+fewer samples than S_L' and regularised more strongly. This favours weaker reflections.
 """
 
 from __future__ import annotations

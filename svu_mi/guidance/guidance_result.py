@@ -33,8 +33,8 @@ class Proposal:
         error: Standard error of ``gain`` from evaluating only some texels: 0 if all were
             evaluated; NaN for a single texel or without a forecast. The error of drawing
             hypotheses, which all candidates share, is not included.
-        entropy: Expected mean entropy with this view: present entropy minus all gains up to
-            here. NaN without a forecast.
+        entropy: Expected mean entropy with this view: present entropy minus the gains up to
+            this proposal. NaN without a forecast.
         sees: Fraction of the texels that the view sees, in [0, 1].
         new: Fraction of the texels that no photograph or earlier proposal sees, in [0, 1].
     """
@@ -61,7 +61,7 @@ class Guidance:
         entropy: Mean entropy of the photographs so far over all texels; unseen texels have the
             entropy of the prior (``Posterior.prior_entropy``).
         texels: The T texels.
-        options: Options of the comparison.
+        options: Options of ``next_best_view``.
         method: Method of the estimate.
         skipped: Numbers of skipped texels, candidates and pairs, and of evaluated pairs.
         timings: Seconds per stage, synchronised.

@@ -206,7 +206,7 @@ def require_band_limit(method: str, options: GuidanceOptions) -> None:
     if options.band_limit == "growing" and method != "spectrum":
         raise OptionError(
             "next_best_view(): band_limit='growing' needs power spectra (Eq. 13); use "
-            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit it.",
+            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit band_limit.",
             shell="--band-limit growing needs power spectra (Eq. 13); give --method spectrum "
             "with --preset paper, or omit it.",
         )

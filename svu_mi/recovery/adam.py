@@ -1,8 +1,8 @@
 """Gradient descent on textures: Adam with bounds and early stopping.
 
 An *objective* is a function ``objective(textures, step)`` that takes a dictionary of tensors and
-returns one differentiable Float. It must not depend on anything else: then a resumed run gives the
-same result as an uninterrupted one.
+returns one differentiable Float. It must depend on these arguments only, so that a resumed run
+gives the same result as an uninterrupted one.
 
     descent = descend(lambda t, step: dr.mean(dr.square(t["roughness"] - 0.3), axis=None),
                       {"roughness": start}, DescentOptions(steps=100))

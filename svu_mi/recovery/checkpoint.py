@@ -65,7 +65,7 @@ class Checkpoint:
         Args:
             path: Path of the file, ``.npz``, in an existing folder.
             settings: All settings that affect the result, as values that JSON can store.
-            content: Digests of the inputs, by names that messages use, such as ``sensors``.
+            content: Digests of the inputs, by the names in messages, such as ``sensors``.
             resume: True to start descents from the stored state.
             every: Seconds between saved states; 0 saves whenever losses are read.
         """

@@ -65,7 +65,7 @@ def recover(
         method: ``sh`` compares photographs with a reflection model, ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` runs ``sh``, then one epoch of ``path``.
         preset: ``default`` or ``paper``. ``coefficients`` and ``spectrum`` select the paper's
-            other losses for ``sh`` and ``sh+path`` (whose epoch of ``path`` is then the paper's).
+            other losses for ``sh`` and ``sh+path`` (with the paper's epoch of ``path``).
             ``polish`` and ``paper_polish`` run the epoch of ``sh+path`` alone (``path`` only).
         sharing: Regularisation of uncertain texels by similar ones. True learns a common prior;
             with presets of the paper, True applies Eq. 14 and 15 to the posterior of Eq. 11 (from

@@ -57,7 +57,7 @@ class PixelBatches:
 
         Args:
             capture: Capture with the photographs.
-            size: Pixels per batch (None: mean number of usable pixels per used photograph).
+            size: Pixels per batch, limited to all usable ones; None: mean number per photograph.
             seed: Seed of the order.
             views: Packed photographs of the capture; packed here if None.
 

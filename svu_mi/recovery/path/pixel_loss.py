@@ -10,8 +10,8 @@ Monte Carlo noise can bias a loss. For a render r with expectation R and a photo
 * ``l1``: E |r - y| is minimal if y is the *median* of r. The distribution of r is skewed, so
   recovered radiance is too bright, in particular with few paths. It is robust to outliers.
 * ``relative``: (r - y)^2 / (y^2 + floor): ``l2`` with weights that depend on the photograph only.
-  The render in the denominator would cause a bias. Noise of the photograph still causes one: pixels
-  that are too dark get larger weights (5 % too dark at 16 samples per pixel).
+  The render in the denominator would cause a bias. Noise of the photograph still causes a bias:
+  pixels that are too dark get larger weights (5 % too dark at 16 samples per pixel).
 
 Gradient and loss need independent paths. The paths of a pixel can be split into halves A and B, so
 that the gradient of each half uses the loss of the other. This saves a pass:

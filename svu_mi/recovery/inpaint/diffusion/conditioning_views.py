@@ -1,4 +1,4 @@
-"""Input views of a diffusion model, and the transfer of its maps to texels.
+"""Input views of a diffusion model, and the transfer of the model's maps to texels.
 
 Uncertain texels use the photographs that show them, as in the paper. Unseen texels use renders of
 the textures filled so far, under the capture's light. Renders resemble the photographs that models
