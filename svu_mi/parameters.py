@@ -22,7 +22,7 @@ class Parameter:
         channels: number of values per texel.
         low: smallest value.
         high: largest value.
-        default: value where none is given, as in initial textures.
+        default: value if not specified, such as in initial textures.
         has_atoms: True if the prior has point masses at ``low`` and ``high``, with the total
             probability ``AngularPreset.metals``.
         end_labels: labels of ``low`` and ``high`` in plots.

@@ -83,7 +83,7 @@ class Reference(TracedTables):
         brightness: (n,) float64, mean observed grey radiance over the used views; 0 without any.
         coverage: (n,) int64, number of used views.
         scale: Mean grey radiance over all visible (texel, view) samples of the capture.
-        unit: Unit of noise levels, radiance: ``scale``; if 0, 1 % of the mean light.
+        unit: Radiance unit of the noise: ``scale``, or a fraction of the light if that is 0.
         seconds: Time of tracing, device synchronised; cached with the result.
         cached: True if the result comes from the cache.
         rays: Number of traced camera paths, summed over all materials psi.

@@ -35,7 +35,7 @@ def locate(
     subset: int | np.ndarray,
     options: ReferenceOptions,
 ) -> Path:
-    """Return the cache file of a reference; creates the folder."""
+    """Return the path of a reference's cache file, and create its folder."""
     key = Key(FORMAT, svu_mi.__version__, mi.__version__, mi.variant(), options, subset)
     key.add(capture_parts(capture))
     for values in (texels.position, texels.geometric_normal):  # the capture determines the rest

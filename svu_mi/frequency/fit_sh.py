@@ -57,7 +57,7 @@ class SolverGroup:
     """Texels of one call of ``fit_lanes``.
 
     Attributes:
-        selection: UInt32, ascending texels.
+        selection: UInt32, indices of the texels, ascending.
         capacity: maximum number of views in the dual; 0 for the primal.
     """
 
@@ -95,7 +95,7 @@ UNIT_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class _Samples:
-    """Flat inputs on the device: texel-major, then view, then component."""
+    """Flat input arrays on the device, ordered by texel, then view, then component."""
 
     directions: Any
     weights: Any

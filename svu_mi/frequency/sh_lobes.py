@@ -142,7 +142,7 @@ def _widths(roughness: Any) -> tuple[Any, Any]:
 
 
 def _square(light: MirroredLight, alpha: Any) -> Any:
-    """Return alpha^2, or alpha^2 - alpha'^2 with ``undo_prefilter`` (light's band limit)."""
+    """Return alpha^2, minus the light's band limit alpha'^2 if ``undo_prefilter`` is set."""
     undone = light.observed.lighting.prefilter**2 if light.fit.undo_prefilter else 0.0
     maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
     return maximum(alpha * alpha - undone, 0)

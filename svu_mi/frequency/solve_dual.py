@@ -189,7 +189,7 @@ def _add_outer(total: list, y: list, wa: list) -> list:
 def _scale_coefficients(
     total: list, system: FitSystem, constant: list | None, seen: Any
 ) -> list[list[Any]]:
-    """Return c = (lambda R)^-1 Y^T W a; ``constant`` for unpenalised degrees."""
+    """Return c = (lambda R)^-1 Y^T W a; unpenalised coefficients are ``constant``."""
     out = []
     for l, row in zip(system.degrees, total, strict=True):
         if system.ridge[l] > 0:

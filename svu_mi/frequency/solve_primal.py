@@ -150,10 +150,10 @@ def fit_candidates(
     known: tuple[ReadSample, Any], added: tuple[ReadSample, Any], system: FitSystem,
     take: TakeSpectrum,
 ) -> list[list[Any]]:  # fmt: skip
-    """Return the spectrum of the ``known`` samples; pass that of each candidate to ``take``.
+    """Return the spectrum of the ``known`` samples, and call ``take`` for each candidate.
 
-    ``known`` and ``added`` are pairs of a sample function and the number of samples. A candidate's
-    spectrum is that of the known samples and one added sample.
+    ``take`` receives the spectrum of the known samples and one added sample, the candidate.
+    ``known`` and ``added`` are pairs of a sample function and the number of samples.
     """
     system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
     solved = SolvedSystem.of(*known, system)

@@ -52,7 +52,8 @@ class Coefficients:
     """SH coefficients of radiance (C channels) and mirrored light (C') of T texels.
 
     Attributes:
-        values: (K (C + C') T,) Float, radiance by l*l + l + m, channel, texel; 0 where unseen.
+        values: (K (C + C') T,) Float, by l*l + l + m, channel (first of radiance, then of light)
+            and texel; 0 where unseen.
     """
 
     values: Any

@@ -38,7 +38,7 @@ class Lighting:
 
     @property
     def degree(self) -> int:
-        """Highest degree that band-limiting does not attenuate to less than NEGLIGIBLE."""
+        """Highest degree that is not negligible after band-limiting, exp(-(alpha' l)^2)."""
         degree = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / self.prefilter))
         return int(np.clip(degree, MIN_DEGREE, MAX_DEGREE))
 

@@ -62,7 +62,7 @@ BAND = 2**17  # nodes sampled at once, 20 MB
 
 
 def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Sample an emitter at lat-long nodes; average larger grids to ``MAX_SIZE``."""
+    """Sample an emitter at lat-long nodes; grids above ``MAX_SIZE`` are averaged."""
     across, down = min(columns, MAX_SIZE[0]), min(rows, MAX_SIZE[1])
     solid = quadrature(rows)
     flux, weight = np.zeros((down, across, 3)), np.zeros(down)
@@ -86,7 +86,7 @@ def sample_emitter(emitter: Any, to_world: np.ndarray, columns: int, rows: int) 
 
 
 def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray:
-    """Return local directions (rows, columns, 3) of a lat-long grid."""
+    """Return local directions (rows, columns, 3) of a lat-long grid; ``band`` selects rows."""
     theta = (np.pi * np.arange(rows) / (rows - 1))[band]
     phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
     sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]

@@ -206,7 +206,7 @@ def cell_radiance(environment: Environment, count: int) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
-    """Return the index of the cell of each map node, (columns * rows,); cached."""
+    """Return the index of the cell nearest each map node, (columns * rows,); cached."""
     return nearest_cells(latlong.directions(columns, rows).reshape(-1, 3), count)
 
 

@@ -57,7 +57,8 @@ class LightVisibility:
         """Return the diffuse moments of the visible light: 8 Floats (S,) per channel.
 
         c0 = sum L V cos, m0 (3) = sum L V cos w; c1 and m1 have the additional factor (1 - cos)^5
-        of the incident direction w (Schlick). Unoccluded sums are scaled to the SH irradiance.
+        of the incident direction w (Schlick). Values are scaled so that c0 without occlusion is the
+        SH irradiance.
         """
         cells, lane = self.tree.fine, surface.lane
 

@@ -30,7 +30,7 @@ Profile = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class FilteredLight:
-    """Light filtered by R lobes: lat-long Texture2f of 1 or 3 channels."""
+    """Light filtered by R lobes: one lat-long Texture2f of 1 or 3 channels for each."""
 
     textures: tuple[Any, ...]
     to_local: Any

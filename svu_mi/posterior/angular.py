@@ -37,7 +37,7 @@ class AngularProblem:
 
     Attributes:
         copies: number of equal colour channels per channel of the factors.
-        slots: (R,) UInt32, index of the factors' level for each roughness of the grid.
+        slots: (R,) UInt32, index of the level in the factors for each roughness node.
         rows: UInt32, rows of the grid that the prior does not exclude.
         total: number of bins.
         sigma: Float, opaque, standard deviation of a texel's error in radiance.

@@ -1,6 +1,7 @@
 """Posterior integrals of a texel: entropy, moments, marginals, probabilities, draws.
 
-Each needs one pass over the nodes of roughness and the mixing parameters (``node_integration``).
+Each result needs one pass over the nodes of roughness and the mixing parameters
+(``node_integration``).
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ class BestBin:
 
     @staticmethod
     def zeros(channels: int, count: int) -> BestBin:
-        """Return the initial state, of mass 0."""
+        """Return the initial best bin, with mass 0."""
         row, *colors = (dr.zeros(mi.UInt32, count) for _ in range(1 + channels))
         return BestBin(dr.zeros(mi.Float, count), row, colors)
 

@@ -202,7 +202,7 @@ def require_scale(caller: str, scale: float) -> None:
 
 
 def observed_by(caller: str, factors: Factors, copies: int, texels: int | None) -> np.ndarray:
-    """Return a mask of T = ``texels`` texels, True if seen; default T: largest index + 1."""
+    """Return a (T,) bool mask of seen texels; T: ``texels``, or the largest index plus one."""
     texel = factors.texel.numpy()
     last = int(texel.max()) if len(texel) else -1
     total = last + 1 if texels is None else texels

@@ -71,7 +71,7 @@ class NodeIntegrator:
         self, begin: Any, end: Any, visit: Callable[..., Any], state: tuple[Any, ...],
         end_row: Callable[..., Any] | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold over rows in [begin, end), and over all columns of each.
+        """Fold over the rows in [begin, end), and over all columns of each row.
 
         ``visit(node, *state)`` returns the new state; it is called for nodes that are not skipped.
         ``end_row(row, *state)`` returns the new state after the last column. Both are traced once.
@@ -149,7 +149,7 @@ class NodeIntegrator:
         return dr.minimum(energy, best)
 
     def draw_colors(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
-        """Sample a base colour per channel and copy at a node, from two Floats ``random`` each."""
+        """Sample base colours at a node, per channel and copy; ``random``: two Floats each."""
         problem = self.problem
         number = problem.factors.channels * problem.copies
         if self._color_is_known:

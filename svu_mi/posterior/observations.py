@@ -101,7 +101,7 @@ class Observed:
 
     @cached_property
     def unit(self) -> float:
-        """Radiance unit: mean of the photographs, or 1 % of the mean light if they are black."""
+        """Radiance unit: mean of the photographs; a fraction of the light if they are black."""
         return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
     @property
@@ -204,7 +204,7 @@ class Observed:
         return self._gather(model, channels, weighting).factor()
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
-        """Return the rounding variance, (S,) squared radiance; None: floating-point photographs."""
+        """Return the rounding variance, (S,) squared radiance; None if photographs are floats."""
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 

@@ -144,7 +144,7 @@ def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
 
 
 def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis:
-    """Divide bins as ``uniform_axis``; add point masses at 0 and 1 of total ``extremes``."""
+    """Divide bins as ``uniform_axis``; add point masses at 0 and 1 with sum ``extremes``."""
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between

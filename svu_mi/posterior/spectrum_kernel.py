@@ -42,7 +42,7 @@ class ConstantTerm:
 
 @dataclass(frozen=True)
 class SpectrumProducts:
-    """Products of a texel's spectra, summed over the channels of a group, over 2 sigma^2."""
+    """Products of a texel's spectra divided by 2 sigma^2, summed over a group's channels."""
 
     light: list[Any]  # S_L(l)^2
     both: list[Any]  # S_L(l) S_B(l)

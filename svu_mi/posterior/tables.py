@@ -31,7 +31,7 @@ def normalize_energies(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def row_colors(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return mean colours, (t, rows, C), or the best bin's if the mean is in an empty bin."""
+    """Return mean colours, (t, rows, C); the best bin's colour if the mean's bin is empty."""
     middle = (edges[1:] + edges[:-1]) / 2
     # einsum() is much faster than sum() for axes other than the last.
     mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(np.einsum("trkc->trc", p), 1e-30)

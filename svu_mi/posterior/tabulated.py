@@ -49,7 +49,7 @@ class TabulatedKernel(GridKernel):
 def tabulated_posterior(
     energies: np.ndarray, grid: Grid, observed: np.ndarray
 ) -> Posterior[TabulatedKernel]:
-    """Return the posterior of (T, *grid) energies -log p, finite if ``observed``."""
+    """Return the posterior of (T, *grid) energies -log p; ``observed`` ones must be finite."""
     shape = (len(observed), *grid.shape)
     if energies.shape != shape:
         raise ShapeError(f"tabulated_posterior(): energies must be {shape}, got {energies.shape}.")

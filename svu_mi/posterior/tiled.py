@@ -31,7 +31,7 @@ class TiledKernel(Kernel):
     Attributes:
         observed: (T,) bool, mask of seen texels; only these can be requested.
         make: function from (t,) texels to a kernel, which numbers them from 0 to t - 1.
-        report: callback for progress of the first pass: number of finished texels, number of all.
+        report: callback for progress of the first pass; gets numbers of finished and all texels.
     """
 
     grid: Grid
@@ -165,7 +165,7 @@ class TiledKernel(Kernel):
         return subsample(self._seen)
 
     def _tiles(self, chosen: np.ndarray) -> Iterator[tuple[slice, Any, np.ndarray]]:
-        """Yield slices of ``chosen``, their kernels, and the indices of the texels in them."""
+        """Yield slices of ``chosen``, the kernel of each, and texel indices in the kernel."""
         if 0 < len(chosen) <= min(KEPT, self.size):
             # Cached: texels spread over the surface read most pages of all photographs.
             key = np.asarray(chosen, np.int64).tobytes()

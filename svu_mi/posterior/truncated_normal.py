@@ -114,7 +114,7 @@ class ChannelLikelihood:
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
-        """Integrate as ``integrate_with_prior``, 5 x faster; the prior exceeds FULL_SUPPORT."""
+        """Integrate as ``integrate_with_prior``, 5 x faster, for priors above FULL_SUPPORT."""
         first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
@@ -194,7 +194,7 @@ class ChannelLikelihood:
         return dr.select(self.mirrored, 1 - y, y)
 
     def _bin(self, low: float, high: float) -> tuple[Any, Any, Any]:
-        """Return log(2 / sqrt(pi) integral over x) of a bin, and mean and variance of y in it."""
+        """Return log(2 / sqrt(pi) integral over x), mean and variance of y in a bin."""
         s, mu = mi.Float64(self.s), mi.Float64(self.mu)
         best, best_of_all = dr.clip(mu, low, high), dr.maximum(mu, 0)
         mass, a, b = self._between(mi.Float64(low), mi.Float64(high), best)
@@ -214,7 +214,7 @@ class ChannelLikelihood:
         return mass, a, b
 
     def _turned(self, values: list[Any]) -> Iterator[Any]:
-        """Yield values of bins in the order of c instead of y, or y instead of c."""
+        """Yield the values of bins, in reverse order where ``mirrored``."""
         for a, b in zip(values, values[::-1], strict=True):
             yield dr.select(self.mirrored, b, a)
 
@@ -264,8 +264,8 @@ class ColorIntegrals:
 
 @dataclass(frozen=True)
 class _Tail:
-    """Density at y, and 2 / sqrt(pi) times its integrals over x: from y away from the mean
-    (``outward``), and from y to infinity (``beyond``)."""
+    """Density at y, and 2 / sqrt(pi) times its integrals over x: from y in the direction away
+    from the mean (``outward``), and from y to infinity (``beyond``)."""
 
     y: Any
     density: Any

@@ -98,7 +98,7 @@ class ReflectionModel:
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
     def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:
-        """Return (e, p, q, d) by level and channel; ``free``: True if mirror ray unoccluded."""
+        """Return (e, p, q, d) by level and channel; ``free`` marks unoccluded mirror rays."""
         normal, lobes = mi.Vector3f(self.surface.normal), []
         if self.fitted is not None:
             lobes += self.fitted.reflect(direction, cosine)

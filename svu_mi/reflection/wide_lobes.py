@@ -39,7 +39,9 @@ class _CellAngles(NamedTuple):
 
 
 class LobeSums:
-    """Sums of cells under lobes of K ascending widths (not a dataclass: no state of loops)."""
+    """Sums of cells under lobes of K ascending widths."""
+
+    # Not a dataclass, because Dr.Jit would treat the fields as loop state.
 
     def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels

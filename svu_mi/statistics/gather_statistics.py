@@ -66,7 +66,7 @@ def gather_statistics(
 ) -> LazyStatistics:  # fmt: skip
     """Return the statistics of a model's texels in C channels, 3 or 1.
 
-    A one-channel model (grey light) is used for all C. If ``mirrors`` is None,
+    A one-channel model (grey light) is used for all C. Without ``mirrors``,
     mirror directions count as unoccluded.
     """
     surface, kappa, channels = model.surface, weighting.kappa, channels or model.channels
@@ -258,7 +258,7 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
 def rounding_sums(
     views: Views, visibility: Visibility, surface: TexelLanes, weighting: Weighting
 ) -> np.ndarray | None:
-    """Return (S,) weighted sums of rounding variances; None: floating-point photographs."""
+    """Return (S,) weighted sums of rounding variances; None if photographs are floats."""
     if views.rounding is None:
         return None
     first, slope = views.rounding
