@@ -18,7 +18,7 @@ def plain_name(name: str) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Escape a text from elsewhere for Markdown (MDX), which runs braces and tags as code.
+    """Escape a text of unknown origin for Markdown (MDX), which runs braces and tags as code.
 
     All characters but letters, digits, spaces, dots and hyphens become character references.
     """
@@ -39,6 +39,6 @@ def xml_id(name: str) -> str:
 
 
 def materialx_name(name: str) -> str:
-    """Return a MaterialX name: ASCII letters, underscores and, except first, digits."""
+    """Return a MaterialX name: ASCII letters, underscores and digits; no digit at the start."""
     word = re.sub(r"\W", "_", name, flags=re.ASCII) or NAMELESS
     return f"_{word}" if word[0].isdigit() else word

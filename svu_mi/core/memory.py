@@ -39,7 +39,7 @@ Size = tuple[int, int]  # width and height
 
 @dataclass(frozen=True)
 class Cost:
-    """Coefficients of the peak memory of a command, which is a sum.
+    """Coefficients of the terms whose sum is the peak memory of a command.
 
     Attributes:
         start: bytes of a process with negligible input.
@@ -48,7 +48,7 @@ class Cost:
         candidate: bytes per candidate view of guidance.
         film: bytes per pixel of the largest photograph, during rendering.
         light: bytes per pixel of the environment map; None if it is prefiltered (``light_bytes``).
-        look: bytes per texel, photograph and light cell of a light estimate.
+        look: bytes per combination of texel, photograph and light cell of a light estimate.
     """
 
     start: float
@@ -159,7 +159,7 @@ class Need:
         return cost.start + light + photographs + max(work, self._reading())
 
     def _reading(self) -> float:
-        """Return the bytes for decoding photographs that are downsampled."""
+        """Return the bytes for decoding photographs at full size before they are downsampled."""
         kept = max(map(_pixels, self.sizes.photographs), default=0)
         largest = max(map(_pixels, self.sizes.stored), default=0)
         return READING * largest * decoders(largest) if largest > kept else 0.0
@@ -303,7 +303,7 @@ def free_memory() -> int | None:
 
 
 def allow(size: int) -> None:
-    """Limit this process to ``size`` bytes, its share of a machine."""
+    """Set the memory in bytes that this process may use, its share of a machine."""
     _allowed[:] = [size]
 
 
@@ -321,7 +321,7 @@ def address_space() -> tuple[int, int] | None:
 
 
 def held(name: str) -> int | None:
-    """Return a memory field of this process, such as ``VmHWM`` (peak), in bytes; or None.
+    """Return a field of ``/proc/self/status``, such as ``VmHWM`` (peak), in bytes; or None.
 
     Unlike ``getrusage``, it excludes the peak of the parent process.
     """

@@ -16,7 +16,7 @@ class Quiet:
     """Context that suppresses OpenEXR's messages while a thread reads or writes.
 
     On stdout, threads outside of the context print as usual. On stderr, all output is buffered
-    until the last thread leaves; then OpenEXR's lines are dropped. A crash loses the buffer.
+    until the last thread leaves; then all but OpenEXR's lines are printed. A crash loses them.
     """
 
     def __init__(self) -> None:

@@ -33,12 +33,12 @@ def require(options: Any, condition: bool, name: str, expected: str) -> None:
 
 
 def require_known(names: Iterable[str], known: Iterable[str], what: str) -> None:
-    """Check names of options.
+    """Check that all names are valid.
 
     Args:
         names: names to check.
         known: valid names.
-        what: kind of name for the message, such as ``fix``.
+        what: noun for a name in the message, such as ``fix``.
 
     Raises:
         OptionError: a name is not valid.
@@ -140,7 +140,7 @@ def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
 
 
 def require_photographs(sizes: Sequence[Size], label: str, rendering: int = 0) -> None:
-    """Raise CaptureError if photographs, and ``rendering`` bytes, do not fit into memory."""
+    """Raise CaptureError if photographs and ``rendering`` further bytes exceed the memory."""
     width, height = max(sizes, default=(0, 0))
     fix = "make the films smaller" if rendering else "shrink them (svu import --shrink)"
     require_memory(

@@ -240,7 +240,7 @@ def test_they_are_kept_with_the_light_and_read_back(observed, tmp_path):
     for changes, message in (
         ({"gains": np.full((5, 3), np.inf)}, "gains has values out of range"),
         ({"gains_odd": np.zeros(4, bool)}, r"gains_odd has the shape \(4,\)"),
-        ({"gains_noise": None}, "it lacks gains_noise"),
+        ({"gains_noise": None}, "the array gains_noise is missing"),
     ):
         changed = {k: v for k, v in {**arrays, **changes}.items() if v is not None}
         write_arrays(tmp_path / "light" / "light.npz", changed)

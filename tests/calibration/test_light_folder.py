@@ -115,7 +115,7 @@ def test_modified_map_is_refused(kept):
         ({"moves": 2}, "moves has values out of range"),
         ({"texels": "many"}, "texels has the type <U4"),
         ({"remarks": 3}, "remarks has the type int64"),
-        ({"misfit": None}, "it lacks misfit"),
+        ({"misfit": None}, "the array misfit is missing"),
     ],
     ids=lambda value: "_".join(value) if isinstance(value, dict) else "",
 )

@@ -184,7 +184,9 @@ def test_files_above_the_default_limit_are_opened():
     pytest.importorskip("resource")
     done = python("-c", MANY_FILES)
     assert done.returncode == 1, done.stderr
-    said = r"Photographs in files need \d+ open files, but ulimit -n allows \d+; raise it, or "
+    said = (
+        r"Photographs in files need \d+ open files, but ulimit -n allows \d+; raise the limit, or "
+    )
     assert re.fullmatch(said + r"increase --memory\.\n", done.stderr), done.stderr
 
 

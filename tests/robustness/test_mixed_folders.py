@@ -67,7 +67,7 @@ def test_every_file_of_a_result_has_the_id_of_its_run(made):
 def test_a_file_of_another_run_is_refused(made, result, tmp_path, capsys, name):
     shutil.copy(made / "b" / "r" / name, result / name)
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
-    assert f"base_color.exr and {name} come from different runs; take both from one" in line
+    assert f"base_color.exr and {name} come from different runs; take both from one run" in line
     assert names(tmp_path) == ["r"]
     if name.endswith(".exr") or name == "run.json":
         words = ("report", made / "a" / "shot", *SMALL, "--recovered", result)

@@ -70,7 +70,9 @@ def write_exr(
             raise OutputError(f"{path}: cannot be written ({error}).") from error
         for name, plane in planes.items():
             if written[name].dtype != plane.dtype or written[name].tobytes() != plane.tobytes():
-                raise OutputError(f"{path}: channel {name} differs after read-back; discarded.")
+                raise OutputError(
+                    f"{path}: channel {name} differs after read-back; the file was discarded."
+                )
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Header:
         size: (width, height) of the data window, the stored pixels.
         cropped: True if the data window differs from the display window.
         foreign: True if the chromaticities differ from Rec. 709.
-        attributes: text and numbers by name.
+        attributes: entries of the header, text or numbers, by name.
     """
 
     size: tuple[int, int]
@@ -91,7 +93,7 @@ class Header:
 
 
 def read_header(path: str | Path) -> Header:
-    """Read the header of an EXR, and compare its sizes with the file and the free memory.
+    """Read the header of an EXR; compare its image sizes with file size and free memory.
 
     Raises:
         CaptureError: the file is missing, not an EXR, damaged or deep; or the header declares more
@@ -233,7 +235,7 @@ def _check_magic(path: Path) -> None:
 
 
 def _read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | int | float]]:
-    """Return (H, W) arrays of the first part, in the types stored, and its attributes."""
+    """Return the channels (H, W) of the first part, in their stored types, and its attributes."""
     try:
         with quiet, OpenEXR.File(str(path), separate_channels=True) as file:
             # Damaged pixels may yield a file without parts or channels instead of an exception.

@@ -160,7 +160,7 @@ def _reason(path: Path, error: OSError) -> str:
 
 
 def may_hold(path: Path, size: int) -> bool:
-    """Return whether a compressed file can contain ``size`` bytes; if not, it is damaged."""
+    """Return whether a compressed file can expand to ``size`` bytes; if not, it is damaged."""
     return size <= max(FREE, MAX_RATIO * path.stat().st_size)
 
 
@@ -179,7 +179,7 @@ def read_json(path: Path) -> Any:
 
 
 def require_files(more: int) -> None:
-    """Raise this process's limit of open files (usually 256 or 1024) if ``more`` need it."""
+    """Raise the limit of open files (usually 256 or 1024) if ``more`` files exceed it."""
     if resource is None:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -189,8 +189,8 @@ def require_files(more: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
     except (OSError, ValueError) as error:
         raise CaptureError(
-            f"Photographs in files need {count} open files, but ulimit -n allows {soft}; raise it, "
-            "or increase --memory."
+            f"Photographs in files need {count} open files, but ulimit -n allows {soft}; raise the "
+            "limit, or increase --memory."
         ) from error
 
 

@@ -2,7 +2,7 @@
 
 The draft of a result is the hidden folder ``.NAME.svu-draft`` next to it; its writer holds a lock
 on the draft. If the system cannot exchange two folders in one step, the older one is called
-``.NAME.svu-older`` between two renames. If a crash falls between them, the next access restores it.
+``.NAME.svu-older`` between two renames. After a crash between them, the next access restores it.
 """
 
 from __future__ import annotations

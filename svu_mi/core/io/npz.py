@@ -4,8 +4,8 @@
     read_arrays("state.npz")["step"]
 
 NumPy can read the file, too. Arrays are not compressed, so that they take no more memory than the
-file, and the file contains their digest. NPY and NPZ files of other programs can be
-read, too: arrays of numbers up to a given size, no pickled objects.
+file, and the file contains their digest. From NPY and NPZ files of other programs, arrays of
+numbers up to a given size can be read, but no pickled objects.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read a file of ``write_arrays``; check its sizes before, and its digest after.
+    """Read a file of ``write_arrays``, after a check of its sizes; then check its digest.
 
     Raises:
         ValueError: the file cannot be read, or is damaged.
@@ -53,7 +53,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         content = {name: _array(archive.read(member)) for name, member in members.items()}
     digest = content.pop(DIGEST, None)
     if digest is None or digest.shape or str(digest) != _digest(content):
-        raise ValueError("its checksum does not match")
+        raise ValueError("the checksum does not match")
     return content
 
 
@@ -62,8 +62,8 @@ class Field(NamedTuple):
 
     Attributes:
         kind: accepted letters of ``dtype.kind``, or one type such as ``f4``.
-        shape: length of each axis, or a name; axes of one name have the same length.
-        low, high: range of the numbers, which excludes NaN; None for any.
+        shape: length or name of each axis; axes of the same name have the same length.
+        low, high: range of the numbers, which excludes NaN; if low is None, any are accepted.
     """
 
     kind: str
@@ -76,8 +76,8 @@ def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]
     """Raise ValueError unless names, types, shapes and ranges match a schema."""
     other = sorted(set(schema) ^ set(arrays))
     if other:
-        what = "lacks" if other[0] in schema else "has an unknown array"
-        raise ValueError(f"it {what} {excerpt(other[0], 40)}")
+        problem = "missing" if other[0] in schema else "unknown"
+        raise ValueError(f"the array {excerpt(other[0], 40)} is {problem}")
     lengths: dict[int | str, int] = {}
     for name, (kind, shape, low, high) in schema.items():
         array = arrays[name]
@@ -86,30 +86,31 @@ def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]
             for axis, length in zip(shape, array.shape, strict=False)
         )
         if not (array.dtype.kind in kind if kind.isalpha() else array.dtype.str[1:] == kind):
-            raise ValueError(f"{name} has the type {array.dtype}")
+            raise ValueError(f"the array {name} has the type {array.dtype}")
         if array.shape != wanted or array.ndim != len(shape):
-            raise ValueError(f"{name} has the shape {array.shape}")
+            raise ValueError(f"the array {name} has the shape {array.shape}")
         if low is not None and not ((array >= low) & (array <= high)).all():
-            raise ValueError(f"{name} has values out of range")
+            raise ValueError(f"the array {name} has values out of range")
 
 
 def read_foreign_array(path: Path, largest: int) -> np.ndarray:
-    """Read an ``.npy`` file of another program of at most ``largest`` bytes.
+    """Read an ``.npy`` file that another program wrote, of at most ``largest`` bytes.
 
     Returns:
         float64 array of any shape; NaN and infinity are kept.
 
     Raises:
-        ValueError: the file cannot be read, is larger, or contains anything but real numbers.
+        ValueError: the file cannot be read, is too large, or contains anything but real numbers.
     """
     with _opened(path, largest) as file:
         return _numbers(file.read())
 
 
 def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> dict[str, np.ndarray]:
-    """Read the arrays of an ``.npz`` file of another program whose names match a pattern.
+    """Read arrays from an ``.npz`` file that another program wrote.
 
-    ``largest`` limits the bytes of the file, and of the uncompressed arrays together.
+    ``wanted`` is a pattern of their names. ``largest`` limits the size of the file in bytes, and
+    the total size of the uncompressed arrays.
 
     Returns:
         float64 arrays of any shape by name; NaN and infinity are kept.
@@ -126,10 +127,10 @@ def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> di
 def _opened(path: Path, largest: float = math.inf) -> Iterator[BinaryIO]:
     """Open a file; turn all errors of the block into a ValueError with a short reason."""
     if not path.is_file():  # a pipe would block
-        raise ValueError("it is not a file")
+        raise ValueError("the path is not a file")
     try:
         if path.stat().st_size > largest:
-            raise ValueError(f"it has more than {largest} bytes")
+            raise ValueError(f"the file has more than {largest} bytes")
         with path.open("rb") as file:
             yield file
     except Exception as error:  # parsers of damaged files raise any type
@@ -142,7 +143,7 @@ def _numbers(data: bytes) -> np.ndarray:
         warnings.simplefilter("ignore")
         array = _array(data)
         if array.dtype.kind not in "fiu":
-            raise ValueError(f"its type is {array.dtype}; expected real numbers")
+            raise ValueError(f"the array has type {array.dtype}; expected real numbers")
         return array.astype(np.float64)
 
 
@@ -154,16 +155,16 @@ def _members(
     named = [(name, member) for name, member in named if wanted.fullmatch(name)]
     members = dict(named)
     if any(member.compress_type not in packings for _, member in named):
-        raise ValueError("one of its arrays has an unknown compression")
+        raise ValueError("an array has an unknown compression")
     if sum(member.file_size for _, member in named) > largest:
-        raise ValueError(f"its arrays have more than {largest} bytes")
+        raise ValueError(f"the arrays have more than {largest} bytes")
     if len(members) < len(named):
-        raise ValueError("two of its arrays have the same name")
+        raise ValueError("two arrays have the same name")
     return members
 
 
 def _array(data: bytes) -> np.ndarray:
-    """Decode an array after comparing its header with the number of bytes."""
+    """Decode an array; raise ``ValueError`` if its header does not match the number of bytes."""
     stream = io.BytesIO(data)
     version = npy.read_magic(stream)
     if version not in HEADERS:

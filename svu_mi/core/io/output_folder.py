@@ -47,7 +47,7 @@ class Claim(os.PathLike[str]):
     Attributes:
         folder: path of the result folder as given by the user.
         target: absolute path of the result folder, without links.
-        draft: path of the hidden folder next to it that receives the files.
+        draft: path of the hidden folder, next to the result folder, that receives the files.
         command: name of the command.
     """
 
@@ -85,7 +85,7 @@ class Draft:
     capture: str
 
     def entries(self) -> dict[str, Any]:
-        """Return the record's entry about the files; call it after writing all of them."""
+        """Return the entry of the record that lists all files written so far, with digests."""
         files = {name: digest_of_file(self.folder / name) for name in files_in(self.folder)}
         return {RESULT: asdict(Entry(self.run, self.command, self.capture, files))}
 
@@ -97,10 +97,10 @@ def claimed(
     """Reserve a result folder for one command until its result is complete.
 
     Args:
-        folder: path of the result folder; its parents are created. A claim is yielded as it is.
+        folder: path of the result folder; its parents are created. If it is a claim, it is yielded.
         command: name of the command, such as ``entropy``.
         overwrite: True to accept a folder with other files, which is kept as ``NAME.before``.
-        keep: name pattern of files in the draft that are kept if the run fails, to resume it.
+        keep: name pattern of files in the draft that stay after a failed run, to resume it.
 
     Raises:
         OutputError: the folder is not writable, contains files that are not an older result of
@@ -175,7 +175,7 @@ def writing(
 
 
 def _put_in_place(claim: Claim) -> None:
-    """Exchange the draft with the older folder; remove that, or keep it if it has other files."""
+    """Exchange the draft with the older folder, which is removed if it has no other files."""
     draft, target = claim.draft, claim.target
     other = _foreign_file(target, claim.command)
     new = draft.rename(unused_name(target)) if other else draft
@@ -197,7 +197,7 @@ def _move_kept(source: Path, target: Path) -> None:
 
 
 def is_kept(name: str) -> bool:
-    """Return whether files of this name stay when a capture or result is replaced."""
+    """Return whether files with this name stay in a folder when its result is replaced."""
     return name.partition(".before")[0] in KEPT
 
 

@@ -72,7 +72,7 @@ class Entry:
 
 
 def entry_of(record: Path, command: str = "") -> Entry | None:
-    """Return the entry of a record; None if it is unreadable or of another command."""
+    """Return the entry of a record; None if unreadable, or written by another command."""
     try:
         short = record.is_file() and record.stat().st_size <= MAX_BYTES
         content = read_json(record) if short else {}
@@ -145,33 +145,33 @@ def require_one_run(folder: Path, names: Sequence[str], record: str, command: st
     other = next((n for n, run in runs.items() if run and first and run != runs[first]), None)
     if other is not None:
         raise CaptureError(
-            f"{folder}: {first} and {other} come from different runs; take both from one, or run "
-            f"svu {command} again, into an empty folder."
+            f"{folder}: {first} and {other} come from different runs; take both from one "
+            f"run, or run svu {command} again, into an empty folder."
         )
 
 
 def are_of_one_capture(first: Path, second: Path) -> bool:
-    """Return whether two files have the same capture; True if a mark is missing."""
+    """Return whether the marks of two files have the same capture; True if one has none."""
     keys = [marks_of(path)[1] for path in (first, second)]
     return not all(keys) or keys[0] == keys[1]
 
 
 def mesh_of(record: Path, run: str) -> str:
-    """Return the mesh digest in the record of a run; empty if it is of another run."""
+    """Return the mesh digest in a record; empty if the record is not of the run ``run``."""
     entry = entry_of(record)
     known = bool(run) and entry is not None and entry.run == run
     return text_in(read_json(record), "inputs", "mesh") if known else ""
 
 
 def text_in(record: Any, *names: str) -> str:
-    """Return a text from nested JSON objects, by keys; empty if missing."""
+    """Return ``record[names[0]][names[1]]...``, a text in a JSON object; empty if missing."""
     for name in names:
         record = record.get(name) if isinstance(record, dict) else None
     return record if isinstance(record, str) else ""
 
 
 def require_no_result(folder: Path) -> None:
-    """Raise CaptureError if a folder is a result that is not a capture."""
+    """Raise CaptureError if a folder contains the result of a command, but no capture."""
     entries = entries_in(folder)
     if others := [entry.command for entry in entries.values() if entry.command not in CAPTURES]:
         record = read_json(folder / RUN_RECORD) if RUN_RECORD in entries else None

@@ -304,8 +304,8 @@ BAD_ROWS = {
     "NaN": (changed(6, np.nan), "pose 1: a number is NaN"),
     "infinite": (changed(14, np.inf), "pose 1: a number is NaN, infinite or too large"),
     "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
-    "words": (np.full((3, 17), "a"), "its type is <U1; expected real numbers"),
-    "complex": (changed(3, 1).astype(complex), "its type is complex128; expected real"),
+    "words": (np.full((3, 17), "a"), "the array has type <U1; expected real numbers"),
+    "complex": (changed(3, 1).astype(complex), "the array has type complex128; expected real"),
     "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
     "parts of pixels": (changed(4, 23.5), "pose 1: a photograph of 40 x 23.5 pixels; the last"),
     "no height": (changed(4, 0), "pose 1: a photograph of 40 x 0 pixels"),
@@ -408,7 +408,7 @@ def test_folders_that_are_not_there(tmp_path):
     with pytest.raises(CaptureError, match="masks: has no mask of a.jpg or any other photograph;"):
         read_source(llff, ReadOptions(images=llff / "images_8"))
     for form, name in (("llff", "poses_bounds.npy"), ("idr", "cameras_sphere.npz")):
-        with pytest.raises(CaptureError, match=f"{name}: it is not a file; "):
+        with pytest.raises(CaptureError, match=f"{name}: the path is not a file; "):
             read_source(tmp_path, ReadOptions(format=form))
 
 
@@ -425,7 +425,7 @@ def test_files_that_promise_more_than_they_hold_are_not_read(tmp_path):
             read_source(folder)
         sentence(e.value, folder)
     os.truncate(file, 2**24 + 1)
-    with pytest.raises(CaptureError, match="it has more than 16777216 bytes"):
+    with pytest.raises(CaptureError, match="the file has more than 16777216 bytes"):
         read_source(folder)
 
 
@@ -434,7 +434,7 @@ def test_archives_that_hold_more_than_they_should(tmp_path):
     file = folder / "cameras_sphere.npz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("world_mat_0.npy", bytes(2**26 + 1))
-    with pytest.raises(CaptureError, match="its arrays have more than 67108864 bytes"):
+    with pytest.raises(CaptureError, match="the arrays have more than 67108864 bytes"):
         read_source(folder)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_LZMA) as archive:
         archive.writestr("world_mat_0.npy", b"any")
@@ -444,7 +444,7 @@ def test_archives_that_hold_more_than_they_should(tmp_path):
         warnings.simplefilter("ignore")
         for name in ("world_mat_0.npy", "world_mat_0"):
             archive.writestr(name, b"any")
-    with pytest.raises(CaptureError, match="two of its arrays have the same name"):
+    with pytest.raises(CaptureError, match="two arrays have the same name"):
         read_source(folder)
     file.write_bytes(b"no archive")
     with pytest.raises(CaptureError, match="not a zip file; write the cameras again"):
