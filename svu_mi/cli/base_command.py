@@ -47,7 +47,7 @@ Variant = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class BaseCommand:
-    """Base class of commands: variant and threads, with the same letters as mitsuba."""
+    """Base class of commands; ``-m``, ``-t`` and ``-v`` are as in the program mitsuba."""
 
     uses_matplotlib: ClassVar[bool] = True
     """True if the command imports matplotlib for pictures."""
@@ -154,7 +154,7 @@ def interruptible(advice: Callable[[], str]) -> Iterator[None]:
 
 
 def was_interrupted(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused an error: Dr.Jit wraps exceptions raised in loops."""
+    """Return whether Ctrl-C caused an error, which Dr.Jit may have wrapped in another one."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True

@@ -56,7 +56,7 @@ class Doctor(BaseCommand):
 
 
 def diagnose() -> tuple[Facts, list[HealthCheck]]:
-    """Return facts by name, and test results; takes a few seconds and never raises."""
+    """Return facts by name, and results of checks; takes seconds and raises no exception."""
     versions = {name: _version(name) for name in PACKAGES}
     loading = _run_child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
     child_facts, llvm = {}, _llvm.status()
@@ -104,7 +104,7 @@ def check_packages(versions: dict[str, str]) -> HealthCheck:
 
 
 def check_renders(usable: list[str], llvm: _llvm.LlvmStatus) -> list[HealthCheck]:
-    """Render with each usable supported variant; fail if there are no variants."""
+    """Render with each usable variant of ``VARIANTS``; without any, the check fails."""
     why = llvm.problem or f"this Mitsuba lacks {', '.join(VARIANTS)}"
     checks = [check_render(name) for name in VARIANTS if name in usable]
     return checks or [HealthCheck("render", False, "no variant can run", why)]
@@ -135,7 +135,7 @@ def check_exr() -> HealthCheck:
 
 
 def _run_child(name: str, function: str, *arguments: str, remedy: str) -> HealthCheck:
-    """Run a function of this file in a fresh interpreter; its last line is the detail."""
+    """Run a function of this file in a child process; report its last printed line."""
     command = [sys.executable, "-P", "-c", CHILD.format(function), *arguments]
     try:
         done = subprocess.run(
@@ -189,7 +189,7 @@ def render_test(variant: str) -> None:
             continue  # Metal has no double precision
         value = dr.opaque(kind, 2, 3)
         if not dr.all((dr.minimum(value, 1) == 1) & (dr.maximum(value, 3) == 3)):
-            raise RuntimeError("a minimum or maximum is wrong")
+            raise RuntimeError("dr.minimum or dr.maximum returns a wrong value")
     white = {"type": "rgb", "value": 1.0}
     # With BSDF samples only, each path has radiance 1: a furnace test without noise.
     scene = mi.load_dict(

@@ -203,7 +203,7 @@ def _number(word: str) -> int | None:
 
 
 def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
-    """Return (count,) bool flags from numbers of candidates or from flags."""
+    """Return (count,) bool flags from indices of candidates, or from flags."""
     if numbers and isinstance(numbers[0], bool):
         if len(numbers) != count:
             raise OptionError(
@@ -213,13 +213,13 @@ def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
     for number in numbers:
         if not 0 <= number < count:
             raise OptionError(
-                f"{label}: no candidate {number}; they are numbered from 0 to {count - 1}."
+                f"{label}: no candidate {number}; candidates are numbered from 0 to {count - 1}."
             )
     return np.isin(np.arange(count), numbers)
 
 
 def _read_numbers(path: Path) -> list[Any]:
-    """Read numbers separated by white space, or a JSON list of numbers or flags."""
+    """Read indices separated by white space, or a JSON list of indices or of booleans."""
     try:
         text = path.read_text(encoding="utf-8")
         values = json.loads(text) if text.lstrip().startswith("[") else list(map(int, text.split()))

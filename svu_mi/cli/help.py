@@ -45,7 +45,7 @@ TITLES = {name: title for title, names in GROUPS.items() for name in names.split
 
 @REGISTRY.primitive_rule
 def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Take ``X | None`` for an X that may be omitted: ``PATH`` instead of ``{None}|PATH``."""
+    """Parse an option of type ``X | None`` as ``X``: show ``PATH``, not ``{None}|PATH``."""
     kinds = typing.get_args(info.type)
     if type(None) not in kinds or len(kinds) < 2:
         return None
@@ -89,7 +89,7 @@ def command_help(name: str, command: Any) -> str:
 
 
 def _options(source: Callable[..., Any], title: str = OTHERS) -> Iterator[tuple[str, ...]]:
-    """Yield name, title of the group, flags and text of each option of a class or constructor."""
+    """Yield name, group title, flags and help text of each option of a class or constructor."""
     hints, texts = typing.get_type_hints(source, include_extras=True), _texts(source)
     for field, parameter in inspect.signature(source).parameters.items():
         extras: tuple[Any, ...] = getattr(hints[field], "__metadata__", ())
@@ -113,7 +113,7 @@ def _options(source: Callable[..., Any], title: str = OTHERS) -> Iterator[tuple[
 
 
 def _texts(source: Any) -> dict[str, str]:
-    """Return the docstrings of fields, also of base classes, or of arguments."""
+    """Return docstrings by name: of a function's arguments, or of own and inherited fields."""
     texts: dict[str, str] = {}
     for each in reversed(source.__mro__ if inspect.isclass(source) else [source]):
         if each is source or dataclasses.is_dataclass(each):
@@ -123,7 +123,7 @@ def _texts(source: Any) -> dict[str, str]:
 
 
 def _default(value: Any) -> str:
-    """Return the default as text; empty if the text of the option contains it."""
+    """Return " (default: ...)" or " (required)"; empty for False, None and empty values."""
     if value is inspect.Parameter.empty:
         return " (required)"
     if value is False or value in (None, "", ()):
@@ -138,7 +138,7 @@ def _summary(command: Any) -> list[str]:
 
 
 def _entry(head: str, text: str, indent: int) -> str:
-    """Return a name and its text in two columns, or below each other if the name is long."""
+    """Return two columns, ``head`` and ``text``, or two rows if ``head`` is long."""
     if len(head) + 2 <= indent:
         return _wrap(text, head.ljust(indent), indent)
     if len(head) > NARROW:

@@ -134,7 +134,7 @@ class Import(BaseCommand):
 
 
 def reimport_command(capture: Capture, fixes: Sequence[str]) -> str:
-    """Return the command that imports a loaded capture again with additional ``fixes``."""
+    """Return the command line that repeats the import of a capture with additional ``fixes``."""
     from svu_mi.capture import capture_folder
 
     record = None if capture.source is None else capture_folder.read(capture.source)
@@ -163,7 +163,7 @@ def _parse_arguments(words: Any) -> Import | None:
 
 
 def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:
-    """Return the corrections without pairs that cancel each other."""
+    """Return corrections without adjacent pairs that cancel each other."""
     import numpy as np
 
     from svu_mi.capture.importers.axis_fixes import FIXES

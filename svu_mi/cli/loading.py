@@ -44,8 +44,9 @@ class CaptureCommand(BaseCommand):
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Read or render the photographs, and lay out texels; the light is optional.
 
-        ``need`` is the memory as a function of sizes, ``again`` reads the photographs rendered by
-        an earlier run, and ``surroundings`` keeps pixels outside the object.
+        ``need`` returns the needed memory for given sizes. ``size`` is (width, height) in texels.
+        ``again`` reads the photographs that an earlier run rendered, ``missing`` replaces the
+        option of the same name, and ``surroundings`` keeps pixels outside the object.
         """
         from svu_mi.capture.crop import Detail
         from svu_mi.capture.match_photographs import has_photographs
@@ -185,13 +186,13 @@ def photograph_memory(progress: Progress, label: str, need: NeedFunc, sizes: Siz
 
 
 def require_memory(progress: Progress, label: str, need: Need) -> None:
-    """Raise if the needed memory exceeds the available memory; print it otherwise."""
+    """Print the needed memory; raise ``CaptureError`` if it exceeds the available memory."""
     need.require(label)
     progress.say(need.sentence())
 
 
 def light_search_need(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
-    """Return the memory of the estimate of the light."""
+    """Return the memory that an estimate of the light needs."""
     cells = max(cells for cells, _ in options.depths)
     # With few texels, the normal equations need more memory than the texel-cell pairs.
     equations = EQUATIONS * cells**2 // max(len(sizes.photographs), 1)
@@ -201,7 +202,7 @@ def light_search_need(sizes: Sizes, resolution: tuple[int, int], options: LightO
 
 
 def with_light_search(need: NeedFunc) -> NeedFunc:
-    """Return the memory of a command that first estimates a missing light."""
+    """Return ``need``, increased where a missing light must first be estimated."""
     from svu_mi.calibration.light.resolve_light import OPTIONS, RESOLUTION
 
     search = partial(light_search_need, resolution=(RESOLUTION, RESOLUTION), options=OPTIONS)
@@ -210,5 +211,5 @@ def with_light_search(need: NeedFunc) -> NeedFunc:
 
 
 def largest_need(*needs: NeedFunc) -> NeedFunc:
-    """Return the maximum of several needs."""
+    """Return a function of sizes that returns the largest of several needs."""
     return lambda sizes: max((need(sizes) for need in needs), key=lambda one: one.bytes)

@@ -148,7 +148,7 @@ class Recover(CaptureCommand, ResultCommand):
             return IntervalSummary.of(known)
 
     def _options(self) -> dict[str, Any]:
-        """Return the options of the parts of the method (sh, path)."""
+        """Return options for ``recover``: ``sh``, ``path`` or both, depending on the method."""
         from svu_mi.recovery.recovery_options import method_options
 
         for option, unused in (("steps", "path"), ("epochs", "sh")):

@@ -161,7 +161,7 @@ class EstimateOptions:
 
     @property
     def model(self) -> str:
-        """Key of ``memory.MODELS``: memory per texel."""
+        """Key of ``memory.MODELS``, which contains the memory per texel."""
         return self.preset if self.method == "angular" else self.method
 
     def check(self) -> None:
@@ -218,9 +218,9 @@ def parse_bytes(text: str) -> float | None:
 
 
 def repeat_known(words: Sequence[str]) -> list[str]:
-    """Return the words of a command with ``--known a=0 b=1`` as ``--known a=0 --known b=1``.
+    """Replace ``--known a=0 b=1`` by ``--known a=0 --known b=1`` in the words of a command.
 
-    An option with any number of values would also consume the scene after it.
+    If --known took several values, the parser would also take the scene after them.
     """
     spread: list[str] = []
     for word in words:
@@ -232,7 +232,7 @@ def repeat_known(words: Sequence[str]) -> list[str]:
 
 
 def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
-    """Return ``--known`` words as values by parameter, or as ``"scene"``."""
+    """Return the values of ``--known`` by parameter, ``"scene"``, or None if not given."""
     if words == ("scene",):
         return "scene"
     known = {}
@@ -258,7 +258,7 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
 def read_recovered(
     folder: Path | None, resolution: tuple[int, ...], default: int = 0, one_run: bool = True
 ) -> tuple[tuple[int, int], Textures | None]:
-    """Return (width, height) of the texel grid, and the textures of a folder of that size."""
+    """Return (width, height) of the texel grid, and the textures in ``folder``, if given."""
     from svu_mi.output.texture_files import read_textures
 
     if folder is None:

@@ -81,7 +81,7 @@ def forgiving_streams() -> Iterator[None]:
 
 
 def _open_standard_files() -> None:
-    """Open closed standard descriptors (``svu >&-``), or another file would get C++ output."""
+    """Open closed standard descriptors (``svu >&-``), so that no file gets their numbers."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)

@@ -19,7 +19,7 @@ SIDE = 512  # texels
 class View(EstimateCommand):
     """Show entropy, textures and photographs on the mesh in a browser.
 
-    Click a texel to see its posterior, or a camera to take its view. Ctrl-C stops. Needs
+    Click a texel to see its posterior, or a camera to look through it. Ctrl-C stops. Needs
     pip install 'svu_mi[viewer]'.
     """
 

@@ -32,7 +32,8 @@ class Batch(BaseCommand):
     """Process many captures, with an overview page.
 
     Each capture gets a folder with entropy, recovered, report.html and asset. The same command
-    continues an interrupted batch, and updates changed captures. Exit status 1 if one failed.
+    continues an interrupted batch, and updates changed captures. The exit status is 1 if a
+    capture fails.
     """
 
     uses_matplotlib: ClassVar[bool] = False

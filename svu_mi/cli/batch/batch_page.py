@@ -51,7 +51,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
 
 
 def thumbnail(folder: Path) -> PageImage | None:
-    """Return a thumbnail of the overview of a capture; None if it is missing."""
+    """Return a thumbnail of a capture's ``overview.png``; None if that file is missing."""
     path = folder / "entropy" / "overview.png"
     try:
         return _draw_thumbnail(path, path.stat().st_mtime_ns)
@@ -61,7 +61,7 @@ def thumbnail(folder: Path) -> PageImage | None:
 
 @cache
 def _draw_thumbnail(path: Path, _time: int) -> PageImage:
-    """Return a thumbnail, cached by path and time, as the page is rewritten for each capture."""
+    """Return a thumbnail; cached, because each finished capture rewrites the whole page."""
     from PIL import Image
 
     with Image.open(path) as image:

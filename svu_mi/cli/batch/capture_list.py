@@ -26,9 +26,9 @@ class BatchItem:
     """Capture of a batch.
 
     Attributes:
-        name: Name of the folder of its results.
+        name: Name of its result folder.
         capture: Path of the capture folder or Mitsuba scene.
-        options: Options of its commands, by name without dashes.
+        options: Values of command-line options, by name without dashes.
     """
 
     name: str
@@ -39,8 +39,8 @@ class BatchItem:
 def read_list(path: Path) -> list[BatchItem]:
     """Read the captures of a folder or a CSV table.
 
-    A subfolder is a capture if it contains a ``capture.json`` or one Mitsuba scene. A table has the
-    column ``capture``, a path relative to the table, and optionally ``name`` and ``OPTIONS``.
+    A subfolder is a capture if it contains a ``capture.json`` or one Mitsuba scene. A table has a
+    column ``capture``, paths relative to the table, and optional columns ``name`` and ``OPTIONS``.
     """
     if path.is_dir():
         items = _read_folder(path)
@@ -105,8 +105,8 @@ def _read_table(path: Path) -> list[BatchItem]:
     if "capture" not in head or unknown or len(set(head)) < len(head):
         cause = f"the column {excerpt(unknown[0], LONGEST)!r}" if unknown else "other columns"
         raise OptionError(
-            f"{path}: has {cause}; its first line must name capture and optionally name, "
-            f"{', '.join(OPTIONS)}, each once."
+            f"{path}: has {cause}; its first line must name the columns: capture "
+            f"and, optionally, name, {', '.join(OPTIONS)}, each once."
         )
     return [
         _parse_row(path, number, dict(zip(head, row, strict=False)))
@@ -147,11 +147,11 @@ def _require_names(path: Path, items: Sequence[BatchItem]) -> None:
     for number, name in enumerate(names):
         if name in (INDEX, TABLE):
             raise OptionError(
-                f"{path}: the capture name {items[number].name!r} is reserved; rename it, or "
-                "change the column name of the table."
+                f"{path}: the capture name {items[number].name!r} is reserved; rename the "
+                "capture, or change its entry in the column name of the table."
             )
         if name in names[:number]:
             raise OptionError(
-                f"{path}: two captures have the name {items[number].name!r}; give each its own in "
-                "the column name."
+                f"{path}: two captures have the name {items[number].name!r}; give each its own "
+                "name in the column name."
             )

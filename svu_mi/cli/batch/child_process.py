@@ -1,8 +1,8 @@
-"""Entry point of a command of a batch, killed when the batch ends.
+"""Child process of a batch: runs one command, and is killed when the batch ends.
 
     python -m svu_mi.cli.batch.child_process PARENT MEMORY entropy capture -o out/entropy ...
 
-MEMORY is the limit of its memory in bytes; 0 for no limit.
+PARENT is the process id of the batch. MEMORY limits the memory in bytes; 0 means no limit.
 """
 
 from __future__ import annotations

@@ -86,8 +86,8 @@ class BatchRunner:
         steps: Names of steps, in the order of ``STEPS``.
         workers: Number of captures processed at the same time on this machine.
         variant: Mitsuba variant.
-        words: Arguments of all commands that do not change results, such as ``-t 2``.
-        patience: Seconds to wait for a lock on the same capture.
+        words: Arguments passed to every command that leave results unchanged, such as ``-t 2``.
+        patience: Seconds to wait for another process that works on the same capture.
         options: Default options of all captures (``BatchItem.options``).
     """
 
@@ -251,7 +251,7 @@ def dask_client(address: str) -> Iterator[Any]:
 
 
 def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
-    """Run a command; retry if it is killed from outside, from its checkpoint if possible."""
+    """Run a command; if a signal kills it, run it again, from the checkpoint ``left`` if any."""
     for _ in range(TRIES):
         resumes = left is not None and left.is_file()
         ended = commands.run([*words, "--resume"] if resumes else words)
@@ -304,8 +304,10 @@ class CommandPool:
 
 
 def last_sentence(said: str) -> str:
-    """Return the error message of a command: its last line, or the wrapped text of a final box,
-    which contains an option error and a hint below a rule."""
+    """Return the error message of a command: its last line, or the error in a final box.
+
+    Errors of options are wrapped in a box, above a line and a hint, which is omitted.
+    """
     said = said.rstrip()
     if said.endswith(LAST_CORNER):
         text, _, _hint = said[said.rfind(CORNER) :].partition(RULE)

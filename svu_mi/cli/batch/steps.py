@@ -79,12 +79,12 @@ def path_word(path: Path) -> str:
 
 
 def step_key(words: Sequence[str], before: str) -> str:
-    """Return the key of a step from its version, its words, and the key of its input."""
+    """Return a digest of the version of svu, the words of a step, and the key of its input."""
     return Key(__version__, list(words), before).digest()
 
 
 def inputs_key(item: BatchItem, output: Path | None = None) -> str:
-    """Return a digest of the sizes and times of the files of a capture and its scene."""
+    """Return a digest of all files of a capture and its scene, from their sizes and times."""
     places, own = capture_paths(item), None if output is None else real_path(output)
     folders = {place for place in places if place.is_dir()}
     described = [read(folder) for folder in places if folder in folders]
@@ -98,7 +98,7 @@ def inputs_key(item: BatchItem, output: Path | None = None) -> str:
 
 
 def _is_separate(output: Path | None, folder: Path) -> bool:
-    """Return whether a folder next to a scene is unrelated: a capture, results or hidden."""
+    """Return whether to ignore a folder next to a scene: an output, another capture, hidden."""
     return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
 
 
@@ -115,7 +115,7 @@ def read_done(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def in_range(value: Any, high: float = sys.float_info.max) -> float:
-    """Return a number of a record as a float in [0, high]; ValueError for others and NaN."""
+    """Return a number from a record as float; raise ValueError unless it is in [0, high]."""
     if type(value) not in (int, float) or not 0 <= value <= high:
         raise ValueError(f"{value!r} is not in [0, {high}]")
     return float(value)
