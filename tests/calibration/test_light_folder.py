@@ -115,7 +115,7 @@ def test_modified_map_is_refused(kept):
         ({"moves": 2}, "moves has values out of range"),
         ({"texels": "many"}, "texels has the type <U4"),
         ({"remarks": 3}, "remarks has the type int64"),
-        ({"misfit": None}, "the array misfit is missing"),
+        ({"misfit": None}, "misfit is missing"),
     ],
     ids=lambda value: "_".join(value) if isinstance(value, dict) else "",
 )
@@ -123,7 +123,7 @@ def test_arrays_that_are_none_are_named(kept, changes, message):
     arrays = {**read_arrays(kept / "light.npz"), **changes}
     kept_ones = {name: value for name, value in arrays.items() if value is not None}
     write_arrays(kept / "light.npz", kept_ones)
-    with pytest.raises(CaptureError, match=rf"light\.npz: cannot be used \({message}"):
+    with pytest.raises(CaptureError, match=rf"light\.npz: cannot be used \(the array {message}"):
         svu.load_light(kept)
 
 
