@@ -180,7 +180,7 @@ def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]
 
 
 def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the channels without a layer, else of the only or the "Combined" layer."""
+    """Return the channels without a layer, else those of the only or the "Combined" layer."""
     if "R" in channels or "Y" in channels:
         return channels
     layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]

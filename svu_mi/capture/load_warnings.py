@@ -81,7 +81,7 @@ def check_photographs(
 
 
 def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
-    """Return the subject of a message about a ``group`` of all ``count`` photographs."""
+    """Return how messages name a ``group`` of the ``count`` photographs."""
     _, path, name = group[0]
     if len(group) == 1:
         return str(path) if name == path.name else f"{path} ({name})"

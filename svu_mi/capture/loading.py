@@ -154,12 +154,12 @@ def _described(path: Path, folder: Path) -> tuple[Path, Description]:
         require_no_result(path)
         raise CaptureError(
             f"{path}: neither a Mitsuba XML scene nor a capture folder with a scene; give the "
-            "scene, and this folder as --images."
+            "scene, and this folder with --images."
         )
     if xml != path and not xml.is_file():
         raise CaptureError(
             f"{folder / capture_folder.FILE}: its scene {excerpt(xml, 300)} does not exist; "
-            "copy it there, or give the scene, and this folder as --images."
+            "copy it there, or give the scene, and this folder with --images."
         )
     return xml, description
 

@@ -78,9 +78,9 @@ def match_photographs(
 def photographs_of(path: Path, ids: Collection[str] = ()) -> Path:
     """Return the default folder of the photographs of a scene or capture.
 
-    For a capture folder it is the folder itself. For a scene it is ``images`` next to the file, or
-    the file's own folder. Many scenes keep textures in ``images``: it is used only if it contains
-    a ``view_NNNN``, a ``capture.json``, or a file named after a sensor.
+    The default of a capture is the capture folder. The default of a scene file is ``images`` next
+    to the file, or the file's own folder. Many scenes keep textures in ``images``, so that folder
+    is used only if it contains a ``view_NNNN``, a ``capture.json``, or a file named after a sensor.
     """
     restore(path)
     if path.is_dir():

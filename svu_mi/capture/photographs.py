@@ -253,8 +253,9 @@ def _mark(color: np.ndarray, exposure: float, clipped: Saturation | None) -> tup
 def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     """Read a mask from an alpha channel, colours or labels.
 
-    The mask is the alpha channel, if any of its pixels is transparent. Otherwise the object has
-    bright pixels. If an integer file has no bright pixels, they are labels: 0 is the background.
+    The mask is the alpha channel, if any of its pixels is transparent. Otherwise bright
+    pixels are the object. If an integer file has no bright pixels, its values are labels, and 0 is
+    the background.
 
     Returns:
         (H, W) bool, True on the object.

@@ -88,7 +88,7 @@ def _searched_folders() -> list[Path]:
 def search_folder_first(folder: str) -> Iterator[None]:
     """Put a folder first in Mitsuba's search path, within a ``with`` block.
 
-    The block also limits the effect of ``<path>`` tags.
+    After the block, the folders of ``<path>`` tags are not searched, either.
     """
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)

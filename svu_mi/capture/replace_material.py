@@ -23,8 +23,8 @@ def is_principled(bsdf: Any) -> bool:
 def constant_parameters(shape: Any) -> dict[str, float]:
     """Return the untextured ``principled`` parameters of a shape, by name.
 
-    Constant colours that are not grey are omitted. Empty for other BSDFs, and for a BSDF without
-    textures, which is assumed to be a placeholder.
+    Constant colours that are not grey are omitted. The result is empty for other BSDFs, and for
+    a BSDF without textures, which is assumed to be a placeholder.
     """
     bsdf = shape.bsdf()
     constants: dict[str, float] = {}

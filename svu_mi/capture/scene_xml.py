@@ -221,7 +221,7 @@ def shape(source: Any, folder: Path, stem: str) -> Any:
 
 
 def material(bsdf: Any, folder: Path, stem: str) -> Element:
-    """Return the XML of a BSDF of a shape other than the object; write textures as EXR.
+    """Return the XML of a BSDF (not the object's), and write its textures as EXR.
 
     Supported are ``principled`` and ``diffuse``, also within ``twosided``. Others are replaced by
     a grey diffuse BSDF, with a warning. ``stem``: see ``shape``.

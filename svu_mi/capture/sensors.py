@@ -199,7 +199,7 @@ def sensors_like(
     used: Sequence[Any], shape: Any, count: int, *, distance: float | None = None,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0), lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Place sensors like the first ``used`` sensor around an object.
+    """Place sensors around an object; film and field of view are those of ``used[0]``.
 
     The default ``distance`` is the median one of ``used``; other arguments: see ``sphere_sensors``.
     """
@@ -281,7 +281,7 @@ def _require(fine: Any, label: str, key: str, expected: str) -> None:
 
 
 def _has(value: Any, shape: tuple[int, ...], kind: Any) -> bool:
-    """Return whether a value is a number, or lists of ``shape``, of finite ``kind``."""
+    """Return whether a value consists of finite numbers of a type, in lists of ``shape``."""
     if not shape:
         return isinstance(value, kind) and not isinstance(value, bool) and abs(value) < LARGEST
     listed = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]

@@ -295,8 +295,8 @@ def _require_size(capture: Capture, index: int) -> None:
     if image.shape != (height, width, 3) or (mask is not None and mask.shape != (height, width)):
         shown = image.shape if mask is None else (image.shape, mask.shape)
         raise CaptureError(
-            f"{capture.names[index]}: photograph and mask must be ({height}, {width}, 3) and "
-            f"({height}, {width}), the size of the sensor's film, got {shown}."
+            f"{capture.names[index]}: photograph and mask must have the shapes ({height}, {width}, "
+            f"3) and ({height}, {width}), the size of the sensor's film, got {shown}."
         )
 
 

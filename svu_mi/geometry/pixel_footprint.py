@@ -15,7 +15,7 @@ MOST_TAPS = 8  # look-ups per side of a texel
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
-    """Return the channels of a colour as a list; only their mean if ``channels`` is 1."""
+    """Return the channels of a colour as a list; [mean] if ``channels`` is 1."""
     values = list(color)
     return values if len(values) == channels else [sum(values) / len(values)]
 

@@ -19,7 +19,7 @@ from svu_mi.errors import OptionError, ShapeError
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return, per texel, the last face that covers it (or -1), and their number: (H * W,)."""
+    """Return the last face (-1: none) and the number of faces at each texel centre, (H * W,)."""
     width, height = resolution
     if len(uvs) == 0:
         empty = np.zeros(width * height, np.int64)
@@ -89,7 +89,7 @@ NARROW = 8  # texels; wider gutters are not cached, because they may fill most o
 
 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
-    """Return a copy; invalid texels within ``texels`` of valid ones get the nearest value."""
+    """Copy an image; invalid texels within ``texels`` of valid ones get the nearest value."""
     image, valid = np.asarray(image), np.asarray(valid, bool)
     if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:
         raise ShapeError(

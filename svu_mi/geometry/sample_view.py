@@ -172,7 +172,7 @@ def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = F
 
 
 def mirror_direction(normal: Any, direction: Any) -> Any:
-    """Return the mirror image (Vector3f) of a unit direction at a unit normal."""
+    """Return the direction (Vector3f) that mirrors a unit direction about a unit normal."""
     return mi.reflect(mi.Vector3f(direction), mi.Normal3f(normal))
 
 

@@ -121,7 +121,7 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
-    """Yield indices of pixels (UInt32), and True for interior pixels; each occurs once."""
+    """Yield pixel indices (UInt32), and whether they are interior; each pixel occurs once."""
     for start in range(0, len(tiles), BLOCK):
         block = tiles[start : start + BLOCK]
         table = to_drjit(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())

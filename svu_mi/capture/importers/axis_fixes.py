@@ -104,7 +104,7 @@ def correct_poses(poses: np.ndarray, fix: AxisFix, camera_axes: np.ndarray) -> n
 
 
 def correct_mesh(mesh: MeshArrays, fix: AxisFix) -> MeshArrays:
-    """Return a mesh that is rotated, mirrored, turned inside out, or has flipped V."""
+    """Return the corrected mesh: rotated, mirrored, turned inside out, or with flipped V."""
     if fix.kind == "winding":
         normals = None if mesh.normals is None else -mesh.normals
         return replace(mesh, normals=normals, faces=mesh.faces[:, ::-1])

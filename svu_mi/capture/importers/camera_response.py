@@ -143,7 +143,7 @@ def _require_order(row: list[float], before: list[list[float]], label: str) -> N
     if row[0] <= last[0]:
         raise CaptureError(
             f"{label}: the encoded value {row[0]:g} comes after {last[0]:g}, but must ascend; "
-            "order the lines, each code once."
+            "sort the lines, and give each code once."
         )
     if any(value < earlier for value, earlier in zip(row[1:], last[1:], strict=True)):
         raise CaptureError(

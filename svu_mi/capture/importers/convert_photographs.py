@@ -159,7 +159,7 @@ def _describe(
     black: np.ndarray,
     invalid: int,
 ) -> ConvertedPhotograph:
-    """Return the properties; ``clipped`` and ``black`` (H, W) are True for such pixels."""
+    """Return the properties; ``clipped`` and ``black`` (H, W) mark saturated and black pixels."""
     return ConvertedPhotograph(
         bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
         saturated=int(clipped.sum()),

@@ -265,7 +265,7 @@ def _write_photographs(
     frames: Sequence[Frame], folder: Path, shrink: float,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Sequence[Frame], list[ConvertedPhotograph]]:  # fmt: skip
-    """Write ``view_0000.exr``, ...; return square-pixel frames, and properties."""
+    """Write ``view_0000.exr``, ...; return their frames (square pixels) and properties."""
     squares, scales = zip(*(square_pixel_frame(frame, shrink) for frame in frames), strict=True)
     views = [folder / f"view_{index:04d}.exr" for index in range(len(frames))]
     contexts = [copy_context() for _ in frames]  # threads do not inherit the run's marks

@@ -105,7 +105,8 @@ def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
 def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
     """Write frames as ``transforms.json``, with intrinsics per frame.
 
-    Files in the folder of ``path`` get relative paths, others their name; they need not exist.
+    Files in the folder of ``path`` are written as relative paths, other files only by their name.
+    The files need not exist.
     """
     root = Path(path).parent
     records = [_record(frame, root) for frame in frames]

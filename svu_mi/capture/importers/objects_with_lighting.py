@@ -116,7 +116,7 @@ def _frame(camera: Path, gain: float) -> Frame:
 
 
 def _light(test: Path) -> Light | None:
-    """Return the map in world axes, else the original map with its rotation, or None."""
+    """Return the map in world axes, else the original map and its rotation; None without any."""
     axes = ENVIRONMENT_AXES["blender"]
     if (test / ROTATED).is_file():
         return Light(path=test / ROTATED, to_world=axes)

@@ -60,7 +60,7 @@ class ReadOptions:
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
-    """Read the cameras and the paths of the photographs of another tool's capture.
+    """Read the cameras and the file paths of a capture that another tool made.
 
     Args:
         path: file ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or

@@ -96,7 +96,7 @@ def _with_computed_normals(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[M
 
 
 def _is_noisy(cosine: np.ndarray, triangles: int) -> bool:
-    """Return whether creases are noise; ``cosine`` (E,) is between the faces at an edge."""
+    """Return whether creases are noise, from the cosine (E,) of the angle at each edge."""
     if triangles < DENSE or not len(cosine):
         return False
     crease, flat = np.cos(np.radians([CREASE, PLANE]))

@@ -72,8 +72,8 @@ def undistorted_frame(frame: Frame) -> Frame:
     width, height = (int(n + WHOLE) for n in np.maximum(high - low, 0))
     if min(width, height) < 1:
         raise CaptureError(
-            f"{frame.label}: the undistorted photograph is empty; correct its lens, or undistort "
-            "the photographs first."
+            f"{frame.label}: the undistorted photograph is empty; correct the lens "
+            "coefficients, or undistort the photographs first."
         )
     x, y = center - low
     return replace(frame, lens=None, size=(width, height), center=(float(x), float(y)))

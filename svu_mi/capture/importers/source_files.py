@@ -22,7 +22,8 @@ def safe_path(root: Path, name: Any, label: str) -> Path:
     r"""Return the path of a file from its name relative to a folder; it need not exist.
 
     ``\`` also separates folders, as on Windows. Links are allowed: the owner of the folder made
-    them. Other paths raise CaptureError; its message begins with ``label``, the file and frame.
+    them. Other paths outside of the folder raise CaptureError. ``label`` (file and frame) begins
+    its message.
     """
     if not isinstance(name, str):
         raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")

@@ -142,7 +142,7 @@ def test_response_overrides_the_source_and_ignores_floats(tmp_path):
         with_response(frames[1:], response)
 
 
-ORDER = "order the lines, each code once"
+ORDER = "sort the lines, and give each code once"
 WRONG = {
     "empty": ("# nothing\n", r"a response curve needs at least 2 samples, got 0; write one"),
     "one line": ("255 1\n", r"a response curve needs at least 2 samples, got 1; write"),

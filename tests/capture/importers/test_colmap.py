@@ -335,7 +335,7 @@ def test_a_bent_lens_is_straightened_with_its_masks(tmp_path):
 def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch):
     small = put_lens(tmp_path / "small", [(0, 0)])
     write_model(small / "sparse", {1: replace(LENS, width=91)}, read_model(small / "sparse")[1])
-    with pytest.raises(CaptureError, match="0.png: has 90 x 60 pixels, but its camera 91 x 60"):
+    with pytest.raises(CaptureError, match="0.png: has 90 x 60 pixels, but its camera has 91 x 60"):
         undistortion.undistort(small, tmp_path / "straight")
     globe = put_lens(tmp_path / "globe", [(0, 0)])
     sphere = replace(LENS, model="EQUIRECTANGULAR", parameters=(90.0, 60.0))

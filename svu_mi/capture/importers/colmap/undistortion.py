@@ -103,7 +103,7 @@ def _read_mask(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarra
     height, width = planes[0].shape
     if (width, height) != (camera.width, camera.height):
         raise CaptureError(
-            f"{file}: has {width} x {height} pixels, but its camera {camera.width} x "
+            f"{file}: has {width} x {height} pixels, but its camera has {camera.width} x "
             f"{camera.height}; give the photographs that COLMAP was run on."
         )
     if mask is not None:
