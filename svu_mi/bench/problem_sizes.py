@@ -105,7 +105,7 @@ class ProblemSizes:
 
     @classmethod
     def read(cls, values: Mapping[str, Any]) -> ProblemSizes:
-        """Return the sizes that a JSON file contains."""
+        """Return sizes from the values of a JSON file."""
         parts = {"recovery": RecoverySizes, "guidance": GuidanceSizes}
         read = {name: part(**{key: tuple(value) if isinstance(value, list) else value
                               for key, value in values[name].items()})

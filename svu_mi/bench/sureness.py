@@ -89,7 +89,7 @@ class SurenessCase(CaseSubject):
         return interval_coverage(*recovered, self.truth)
 
     def filled(self) -> Record:
-        """Return scores of a filled third of the surface.
+        """Fill a hidden third of the surface, and return scores of it.
 
         Returns:
             ``hidden``, fraction of filled texels; ``held``, coverage of intervals by parameter;
@@ -144,7 +144,7 @@ PARTS = tuple(
 
 
 def _hiding(capture: Capture, layout: Texels) -> Capture:
-    """Return photographs from one side that do not show about a third of the surface."""
+    """Return photographs from one side, such that about a third of the surface is hidden."""
     seen = observe(capture, layout)
     lane = dr.arange(mi.UInt32, layout.count)
     shows = np.stack([

@@ -208,7 +208,7 @@ def _outliers(values: np.ndarray, seen: np.ndarray, limit: float) -> np.ndarray:
 
 
 def _medians(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
-    """Return the median of each group; 0 if empty."""
+    """Return the median of ``values`` for each index in ``group``; 0 for empty groups."""
     order = np.lexsort((values, group))
     size = np.bincount(group, minlength=count)
     middle = np.cumsum(size) - size + size // 2

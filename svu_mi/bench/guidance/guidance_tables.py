@@ -76,7 +76,7 @@ def mean_curve(runs: list[Record], strategy: str, name: str = "psnr") -> list[fl
 
 
 def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> list[Record]:
-    """Compare the judged strategies with all others, in pairs over objects.
+    """Compare each judged strategy with every other one, by paired tests over objects.
 
     Returns:
         Per pair: ``strategy``, ``other``, ``difference`` of mean gains, ``p`` of a paired t-test

@@ -81,7 +81,7 @@ def orb_error(picture: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
 
 
 def orb_albedo_error(picture: Any, truth: Any, mask: Any) -> OrbError:
-    """Compare a picture of the base colour with the data set.
+    """Compare a picture of the base colour with the base colour of the data set.
 
     Channels are scaled as for relighting; PSNR-L and SSIM compare linear values.
 

@@ -4,7 +4,7 @@ Pearson's correlation of entropies over 400 texels (64 paths per ray, direct lig
 parameters), 60 photographs of 256 x 256:
 
 * rows of the paper: SH model (Eq. 6) in angle and power spectra (Eq. 11), both as printed; the
-  reference also sums d over views (sigma .4 of the mean radiance);
+  reference also sums errors over views (sigma .4 of the mean radiance);
 * the same over open texels, where the object occludes less than 3 % of the irradiance;
 * other readings of the paper, and steps from the SH model to ours: light given in all directions,
   GGX lobes with their Fresnel term, cells of the light, occlusion;
@@ -169,7 +169,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def table3_tables(cases: list[Record]) -> list[str]:
-    """Return the mean and the lowest value of each row over the cases."""
+    """Return a table with mean and lowest value of each row over the cases."""
     lines = []
     for label, first in cases[0]["rows"].items():
         lines.append((label, [case["rows"][label]["rho"] for case in cases]))

@@ -101,8 +101,8 @@ def apply_fixes(
 ) -> Capture:
     """Return a copy of a capture with corrections applied in order.
 
-    ``camera_axes``: (4, 4) matrix that the importer multiplied to camera-to-world matrices from the
-    right; only used by ``camera-inverse``.
+    ``camera_axes``: (4, 4) matrix A of the importer, which replaced camera-to-world matrices C by
+    C A; only used by ``camera-inverse``.
     """
     for fix in fixes:
         if fix.kind == "camera":
@@ -119,7 +119,7 @@ def apply_fixes(
 
 
 def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
-    """Correct the mesh of the object."""
+    """Return the capture with the mesh of the object corrected by ``fix``."""
     shape = make_mesh(capture.shape.id(), correct_mesh(arrays(capture.shape), fix))
     shape.set_bsdf(capture.shape.bsdf())
     mesh = shape
@@ -131,7 +131,7 @@ def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
 
 
 def _with_turned_light(capture: Capture, fix: AxisFix) -> Capture:
-    """Rotate the light; a constant emitter is unchanged, a sky becomes a map."""
+    """Return the capture with its light rotated; constant light stays, a sky becomes a map."""
     emitter = find_environment(capture.scene, str(capture.source or "scene"))
     if emitter.class_name() == "ConstantBackgroundEmitter":
         return capture

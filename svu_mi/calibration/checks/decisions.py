@@ -188,7 +188,7 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
     """Decide on the gains of photographs.
 
     Args:
-        excess: Surface brighter than white in all photographs; None if unknown.
+        excess: Surface that is brighter than white; None if unknown.
         gains: Relative gains of V photographs; None if there are too few.
         names: Names of the V photographs.
     """

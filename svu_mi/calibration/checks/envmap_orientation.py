@@ -49,7 +49,7 @@ class LightScore:
 
     Attributes:
         hypothesis: Tested corrections.
-        shading: Correlation of radiance and predicted irradiance, as neighbour differences.
+        shading: Correlation of differences between neighbours: radiance and irradiance.
         bare: As ``shading``, after regression on colour.
         highlights: Fraction of the variance between views that filtered light explains.
     """

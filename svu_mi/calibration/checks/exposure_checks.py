@@ -90,7 +90,7 @@ class Irradiance(NamedTuple):
     def of(
         scene: Any, points: Points, environment: Environment, cells: LightCells | None = None
     ) -> Irradiance:
-        """Sum the cells of the light; occlusion is traced in a few evenly spaced directions."""
+        """Sum irradiance over cells of the light; trace occlusion in a few even directions."""
         cells = cells or build_light_tree(environment, COARSE, CELLS).fine
         flux, toward = read_cells(cells)
         cosines = open_cosines(scene, points, DIRECTIONS)
@@ -106,7 +106,7 @@ class Irradiance(NamedTuple):
 
 
 class Excess(NamedTuple):
-    """Fraction of points brighter than white, and 0.98 quantile of brightness / white."""
+    """Fraction of points brighter than white; 0.98 quantile of brightness relative to white."""
 
     part: float
     factor: float

@@ -111,7 +111,7 @@ class PointSamples:
     toward: np.ndarray
 
     def mirrored(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
-        """Return cosines (V, N) of view angles, and mirror directions (V, N, 3)."""
+        """Return cosines (V, N) of normals and view directions, and mirror directions (V, N, 3)."""
         cosine = np.einsum("vni,ni->vn", self.toward, points.normal)
         return cosine, 2 * cosine[..., None] * points.normal - self.toward
 
@@ -265,7 +265,7 @@ class DistantLight:
         )
 
     def arriving(self, matrix: np.ndarray) -> np.ndarray:
-        """Return the flux (K, 3) near ``DIRECTIONS`` of the map rotated by ``matrix`` (3, 3)."""
+        """Return the flux (K, 3) near each of ``DIRECTIONS``; ``matrix`` (3, 3) rotates the map."""
         cell = scipy.spatial.cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
         count = len(DIRECTIONS)
         return np.stack([np.bincount(cell, self.flux[:, c], count) for c in range(3)], axis=-1)

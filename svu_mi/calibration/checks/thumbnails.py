@@ -35,7 +35,7 @@ class Thumbnails:
 
     @staticmethod
     def of(capture: Capture) -> Thumbnails:
-        """Pack a reduced capture."""
+        """Collect the used photographs and poses of a reduced capture."""
         return Thumbnails(
             capture=capture,
             views=pack_views(capture, silhouettes=True),

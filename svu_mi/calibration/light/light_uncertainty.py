@@ -65,7 +65,7 @@ class LightScale:
     Attributes:
         best: (3,) mean.
         common: Standard deviation of the part common to the channels.
-        tint: (3,) standard deviations of the parts of single channels.
+        tint: (3,) standard deviations of the additional part of each channel.
         anchored: True if enough of the surface is dielectric to determine the scale.
     """
 
@@ -198,7 +198,7 @@ def widening_of(
     """Return the ratio of texture variances with and without uncertainty of the light.
 
     The variance of the posterior means under K sampled lights, (K, N, 3) logarithms, adds to the
-    posterior variance. Base colours are multiplied by the scale of each light before.
+    posterior variance. Base colours are first multiplied by the sampled scale of their light.
     """
     samples, parts = transport.samples, []
     own = SampleMoments.of(samples, columns).posterior(switches, np.exp(level.best))
