@@ -88,7 +88,7 @@ class Candidates:
 
     @staticmethod
     def at(capture: Capture, views: Sequence[int]) -> Candidates:
-        """Return the sensors of a capture with these indices; all are reachable."""
+        """Return the sensors of a capture with the indices ``views``; all are reachable."""
         sensors = tuple(capture.sensors[view] for view in views)
         names = tuple(capture.names[view] for view in views)
         return Candidates(sensors, names, np.ones(len(sensors), bool))

@@ -72,7 +72,10 @@ class GrowingForecast(SpectrumForecast):
         return self._lights[views]
 
     def _kept(self, lane: Any) -> tuple[int, SpectrumReduction]:
-        """Extend the stored values by S_L' S_B per degree and sum of S_B^2, over 2 sigma^2."""
+        """Append products S_L'(l) S_B(l) and the sum of S_B(l)^2 to the K values.
+
+        All are summed over channels and divided by 2 sigma^2.
+        """
         count, of_light = super()._kept(lane)
         scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
         channels = self.switches.colors

@@ -79,7 +79,7 @@ class EntropyMeasure:
     unseen: float = 1.0
 
     def start(self) -> list[Any]:
-        """Return zeros: sums of w and of w (H - log w) over rows of weight w."""
+        """Return zeros for the sums of w and of w (H - log w) over rows of weight w."""
         return [mi.Float(0), mi.Float(0)]
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:
@@ -114,7 +114,7 @@ class VarianceMeasure:
         return sum(p / v for p, v in zip(self.prior, self.present, strict=True))
 
     def start(self) -> list[Any]:
-        """Return zeros: sum of w, and of w x and w x^2 for each parameter and channel x."""
+        """Return zeros for the sums of w, and of w x and w x^2 per parameter or channel x."""
         return [mi.Float(0) for _ in range(1 + 2 * (len(self.present) - 1 + self.channels))]
 
     def add(self, sums: list[Any], row: ColorMarginal, shared: tuple[Any, ...]) -> list[Any]:

@@ -63,7 +63,7 @@ def respond(
 
 @dataclass(frozen=True)
 class SpectrumForecast(Forecast):
-    """``Forecast`` on a grid of (roughness, Ks), with ``sigma`` of Eq. 11 and alpha' of L'."""
+    """``Forecast`` on a grid of (roughness, Ks); ``prefilter`` is alpha' of the light L'."""
 
     grid: ParameterGrid
     switches: Preset
@@ -193,7 +193,7 @@ class SpectrumHypotheses:
         return energies
 
     def _cell(self, cell: Any) -> tuple[Any, list[Any]]:
-        """Return Ks^2 and e_l of a cell."""
+        """Return Ks^2 of a grid cell, and e_l of all degrees l."""
         count = len(self._squares)
         return dr.gather(mi.Float64, self._nodes, cell % count), self._falloff(cell // count)
 

@@ -47,7 +47,7 @@ def holdout_masks(graph: TexelGraph) -> list[np.ndarray]:
 
 
 def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
-    """Return masks of seen texels, clustered by unit vectors (T, 3)."""
+    """Cluster seen texels by unit vectors (T, 3); return one mask (T,) per cluster."""
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST_PARTS, MOST_PARTS))
     masks: list[np.ndarray] = []
     for seed in range(DIVISIONS if number == FEWEST_PARTS else 1):

@@ -35,7 +35,7 @@ class Pieces:
 
     @staticmethod
     def of(texels: Texels, around: Sequence[Any]) -> Pieces:
-        """Find the pieces of texels by their neighbours (``Neighbors.around``)."""
+        """Find connected pieces of the surface from the texels' neighbours ``around``."""
         position, normal = (np.array(x, np.float64).T for x in (texels.position, texels.normal))
         return Pieces(normalized_points(position), normal, connected_components(around))
 

@@ -2,7 +2,7 @@
 
 Uncertain texels use the photographs that show them, as in the paper. Unseen texels use renders of
 the textures filled so far, under the capture's light. Renders resemble the photographs that models
-are trained on, and contain no other information than the photographs.
+are trained on, and contain only information from the photographs.
 """
 
 from __future__ import annotations
