@@ -176,7 +176,7 @@ def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
 
 
 def materialized(result: Estimate, progress: Progress | None = None) -> Estimate:
-    """Return an estimate with statistics of all texels in memory; recompute a tiled one."""
+    """Return an estimate with statistics of all texels in memory; compute it again if tiled."""
     if not isinstance(result.posterior.kernel, TiledKernel):
         return result
     grid: Any = result.posterior.grid

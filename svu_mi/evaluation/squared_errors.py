@@ -29,7 +29,7 @@ CORNERS = tuple({"metallic": m, "base_color": c} for m in (0.0, 1.0) for c in (0
 
 @dataclass(frozen=True)
 class TexelMeans:
-    """Means over the P pairs of n texels; 0 for texels without pairs.
+    """Means over the P (texel, view) pairs of n texels; 0 for texels without pairs.
 
     Attributes:
         texel: (P,) int64, index of each pair's texel.

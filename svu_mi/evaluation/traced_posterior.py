@@ -152,7 +152,7 @@ def _renderer(
     target: UniformScene, pairs: VisiblePairs, options: ReferenceOptions, batch: int,
     update: Callable[[int], None],
 ) -> Render:  # fmt: skip
-    """Return a function that renders a psi for a batch of pairs."""
+    """Return a function that renders a material psi for a batch of (texel, view) pairs."""
     integrator = mi.load_dict({"type": "path", "max_depth": options.max_depth})
     # A seed per batch, shared by all psi.
     seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))

@@ -163,7 +163,7 @@ class MirroredLight:
 
     @cached_property
     def _job(self) -> FitJob:
-        """Fit; cached, because all steps of a recovery use the same solvers."""
+        """Fit of the chosen texels; cached, because all steps of a recovery use it."""
         counts = np.zeros(self.observed.texels.count, np.uint32)
         counts[self.chosen] = self.observed.visibility.coverage.numpy()[self.chosen]
         return FitJob(self.observed, self.fit, counts, 0, self.channels)

@@ -45,7 +45,7 @@ def fit_lanes(sample: ReadSample, views: Any, system: FitSystem, capacity: int) 
 
     ``sample(view)`` returns unit direction, weight w (0: unseen) and values. Coefficient (l, m) is
     at l*l + l + m; it is 0 in lanes without views. ``capacity`` is the maximum number of visible
-    views in the dual, which needs about 4 capacity^2 bytes per lane; 0 selects the primal.
+    views in the dual solver, which needs about 4 capacity^2 bytes per lane; 0: primal solver.
     """
     if capacity:
         return fit_dual(sample, views, system, capacity)
@@ -58,7 +58,7 @@ class SolverGroup:
 
     Attributes:
         selection: UInt32, indices of the texels, ascending.
-        capacity: maximum number of views in the dual; 0 for the primal.
+        capacity: maximum number of views in the dual solver; 0 for the primal solver.
     """
 
     selection: Any
@@ -77,7 +77,7 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
         raise OptionError(f"The method of a fit must be auto, primal or dual, got {method!r}.")
     if method == "dual" and counts.max(initial=0) > CAPACITIES[-1]:
         raise OptionError(
-            f"Texel {int(counts.argmax())} has {counts.max()} views; the dual is limited to "
+            f"Texel {int(counts.argmax())} has {counts.max()} views; the dual solver is limited to "
             f'{CAPACITIES[-1]}. Use method="auto" or "primal".'
         )
     few = (counts > 0) & (counts <= limits[method])

@@ -102,7 +102,7 @@ def _accumulate(
     sample: ReadSample, views: Any, memory: tuple[list, list, list, Any],
     basis: Callable[[list], list],
 ) -> tuple[list, list, Any]:  # fmt: skip
-    """Add Y^T W^2 Y and Y^T W^2 f to memory; return both, and the lanes with samples."""
+    """Add Y^T W^2 Y and Y^T W^2 f to ``memory``; return both, and a mask of seen lanes."""
     gram, right, rows, blocks = memory
     seen = mi.Bool(False)
     view = mi.UInt32(0)
@@ -128,7 +128,7 @@ def _accumulate(
 
 
 def write_row(rows: list, y: list, weight: Any) -> None:
-    """Write w Y_lm(d) of one sample, in blocks of len(rows)."""
+    """Write w Y_lm(d) of one sample; index i is at row i % len(rows)."""
     for i, value in enumerate(y):
         rows[i % len(rows)][i // len(rows)] = weight * value
 
@@ -179,7 +179,7 @@ class _AddedSample:
         return 1 + sum(value * value for value in z)
 
     def errors(self, fitted: list, y: list, values: list, scale: Any) -> list[Any]:
-        """Return scale (f - y . c) for each channel."""
+        """Return ``scale`` times the sample's residual f - y . c, for each channel."""
         old = read_rows(fitted, self._system)
         return [
             scale * (mi.Float64(f) - sum(b * c[k] for b, c in zip(y, old, strict=True)))

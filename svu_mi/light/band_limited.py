@@ -143,7 +143,7 @@ class MomentMap:
         return [flat[first : first + MOMENTS] for first in range(0, len(flat), MOMENTS)]
 
     def in_world(self, normal: Any) -> list[list[Any]]:
-        """Look up and evaluate moments by world normal, in world space."""
+        """Look up moments by world normal, and rotate them to world space; evaluated."""
         back, result = self.to_local.T, []
         for c0, x0, y0, z0, c1, x1, y1, z1 in self.at(normal):
             m0, m1 = back @ mi.Vector3f(x0, y0, z0), back @ mi.Vector3f(x1, y1, z1)

@@ -291,7 +291,7 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
 
 
 def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> Any:
-    """Return masses of a parameter's N nodes for t texels, in ``texel_blocks``."""
+    """Return masses of a parameter's N nodes for t texels, in the layout of ``texel_blocks``."""
     number, place = problem.axis(name).count, None
     if name in MIXED:
         nodes = np.unravel_index(np.arange(problem.mixed.count), problem.mixed.shape)
@@ -378,7 +378,7 @@ def zeroed_memory(number: int) -> Any:
 
 
 def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
-    """Copy local memory to ``texel_blocks`` within the kernel that computes it."""
+    """Copy local memory to the layout of ``texel_blocks``, in the kernel that computes it."""
     target = dr.zeros(mi.Float, block_size(number, count))
     dr.eval(target)
     place = texel_offset(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, number))

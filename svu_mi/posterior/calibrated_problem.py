@@ -29,7 +29,7 @@ class CalibratedProblem:
         edges: (K + 1,) edges of the base colour bins; two equal edges if base colour is known.
         rows: (R * M,) float64, -log prior of each row.
         color_prior: (R * M * tables * K,) Float, density of base colour in a row; None: uniform.
-        scale: (S,) or (1,) Float, sqrt(W / (s^2 tau)): converts the factors to units of noise.
+        scale: (S,) or (1,) Float, sqrt(W / (s^2 tau)), W: sum of weights; scales factors to noise.
         min_energy: (S,) Float, smallest energy of all nodes, without the residual floor.
         tables: number of colour priors: 1 (shared by all channels) or one per channel.
     """
@@ -84,7 +84,7 @@ class CalibratedProblem:
 
 @dataclass(frozen=True)
 class NodeValues:
-    """Values of a parameter at nodes, and variances in their parts: (N,) Floats."""
+    """Values of a parameter at nodes, and its variance within each node's part: (N,) Floats."""
 
     value: Any
     variance: Any

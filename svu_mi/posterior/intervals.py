@@ -26,7 +26,7 @@ def shortest_interval(
     masses: Any, parts: QuadratureAxis, count: int, level: float
 ) -> tuple[Any, Any]:
     """Return both ends, (count,) Floats, of the shortest run of parts with probability ``level``,
-    from unnormalised ``masses`` of the parts in ``texel_blocks``."""
+    from unnormalised ``masses`` of the parts (layout: ``texel_blocks``)."""
     number = dr.opaque(mi.UInt32, parts.count)
     place = texel_offset(dr.arange(mi.UInt32, count), number)
     low, high = (to_drjit(mi.Float, ends) for ends in parts.ends)

@@ -77,7 +77,7 @@ class Posterior(Generic[K]):
 
     @property
     def prior_entropy(self) -> float:
-        """Normalised entropy of unseen texels, in [0, 1]: the prior's (Eq. 5).
+        """Normalised entropy of unseen texels, in [0, 1]: the prior's entropy (Eq. 5).
 
         1 if the prior is uniform or the posterior calibrated.
         """

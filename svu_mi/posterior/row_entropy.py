@@ -28,7 +28,7 @@ RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
 def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any:
     """Return the entropy of Eq. 5 relative to log ``total``, (T,) in [0, 1].
 
-    Energies are relative to the smallest so far. Sums are rescaled when it decreases.
+    Energies are relative to the smallest one so far; sums are rescaled when a smaller one follows.
     """
     last = dr.opaque(mi.UInt32, dr.width(rows))
 

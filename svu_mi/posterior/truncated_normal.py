@@ -204,7 +204,7 @@ class ChannelLikelihood:
         return dr.log(mass) - worse, dr.clip(mean, low, high), variance
 
     def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, _Tail, _Tail]:
-        """Return the integral over [low, high] relative to the density at ``best``, and tails."""
+        """Return the integral on [low, high], over the density at ``best``, and both tails."""
         a, b = self._tail(low, best), self._tail(high, best)
         left, right = (y < mi.Float64(self.mu) for y in (low, high))
         mass = dr.select(

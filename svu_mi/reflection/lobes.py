@@ -122,7 +122,7 @@ def view_albedo(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
 
 
 def _root(like: Any) -> Any:
-    """Return a square root function for positive numbers of this array type."""
+    """Return a square root function for positive arrays of the type of ``like``."""
     # In Dr.Jit, refined reciprocal square roots take a third of the time of square roots.
     return (lambda x: x * dr.rsqrt(x)) if dr.is_array_v(like) else np.sqrt
 

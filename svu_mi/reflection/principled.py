@@ -69,7 +69,7 @@ def paper_mixture(specular: Any) -> Mixture:
 
 
 def mixture_derivative(values: Sequence[Any], which: int) -> Mixture:
-    """Return the derivative of the affine ``mixture`` for parameter ``which``."""
+    """Return the derivative of ``mixture`` with respect to the parameter at index ``which``."""
     low, high = (
         mixture(*(end if k == which else value for k, value in enumerate(values))) for end in (0, 1)
     )

@@ -82,7 +82,7 @@ def parabola(model: Any, bound: Any, noise: Any) -> tuple[Any, Any]:
 
 
 def find_best_models(statistics: Statistics) -> BestModels:
-    """Return the model with the least squared error of each texel and level."""
+    """Return the model with the least squared error for each texel and roughness level."""
     levels, channels, count = statistics.levels, statistics.channels, statistics.count
     size = len(MIXED) + channels
     reader, lane = BlockReader(statistics.sums, statistics.rows, count), dr.arange(mi.UInt32, count)

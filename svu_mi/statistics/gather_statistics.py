@@ -48,7 +48,8 @@ class Weighting:
         edges: eta, decrease of weights at image edges (``noise_weight``).
         current: parameters whose error |r - b| divides weights, to minimise absolute errors
             [Holland and Welsch 1977]. Requires uniform levels on [0, 1]; sets kappa to NaN.
-        models: best models; only saturated channels are then summed (``censored``).
+        models: best models of the texels; if given, only saturated channels are summed
+            (``censored``).
     """
 
     kappa: float = inf
@@ -228,7 +229,7 @@ def clipped_samples(views: Views, visibility: Visibility, surface: TexelLanes) -
 
 
 def flatten_values(values: Values) -> list[Any]:
-    """Return all Floats, in the order of ``NAMES``."""
+    """Return the Floats of all parameters in one list, in the order of ``NAMES``."""
     return [x for name in NAMES for x in values[name]]
 
 
