@@ -40,7 +40,7 @@ Variant = Annotated[
     str,
     arg(
         aliases=["-m"], metavar="NAME",
-        help="Mitsuba variant; auto: the first available of cuda, metal and llvm _ad_rgb.",
+        help="Mitsuba variant; auto: cuda_ad_rgb, metal_ad_rgb or llvm_ad_rgb, if available.",
     ),
 ]  # fmt: skip
 

@@ -40,7 +40,7 @@ class Bench(BaseCommand):
     first = "what capture output data objects lights rows quick fresh stored"
     output: Output = Path("out/bench")
     data: Path | None = None
-    """Folder with objects/ and envmaps/, or of Stanford-ORB (default: the included scenes)."""
+    """Folder with objects/ and envmaps/, or Stanford-ORB (default: the included scenes)."""
     objects: Names = ""
     """Objects to run, such as vase,knot (default: all)."""
     lights: Names = ""
@@ -61,7 +61,7 @@ class Bench(BaseCommand):
     every: int = 5
     """real: every N-th photograph is held out, N at least 2."""
     environment_view: str | None = None
-    """orb: test photograph whose environment map is the light of recovery (default: the first)."""
+    """orb: test photograph whose environment map recovery takes as light (default: the first)."""
 
     def run(self, console: Console) -> int:
         """Run the benchmarks."""

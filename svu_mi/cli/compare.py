@@ -38,7 +38,7 @@ class Compare(ResultCommand):
     first = "a b output resolution preset tolerance overwrite"
     output: opt.Output = Path("out/compare")
     preset: Presets = ("default",)
-    """Preset of estimates of captures: default, fixed, fast or paper; two for A and B."""
+    """Preset for captures: default, fixed, fast or paper; or two presets, for A and for B."""
     resolution: opt.Size = ()
     """Texels per side, or width and height (default: of the coarser textures; captures: 512)."""
     tolerance: float = 0.05

@@ -51,8 +51,8 @@ class Export(ResultCommand):
     gutter: Gutter = None
     """Texels to extend UV charts by (default: fill all texels between charts)."""
     up: Literal["y", "z"] | None = None
-    """Up axis of the capture, which is rotated to +Y in GLB files if it is z (default: inferred
-    from the cameras)."""
+    """Up axis of the capture; in GLB files, z is rotated to +Y (default: inferred from the
+    cameras)."""
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""

@@ -52,9 +52,9 @@ class Guide(EstimateCommand):
     resolution: opt.Resolution = (512,)
     candidates: From = "100"
     """Number of views on a sphere around the object; file of poses (transforms.json, capture.json
-    or Mitsuba XML); scene: its sensors without a photograph."""
+    or Mitsuba XML); the word scene: its sensors without a photograph."""
     add: int = 5
-    """Number of poses to propose, at least 1; each takes the earlier ones as photographed."""
+    """Number of poses to propose, at least 1; each assumes photographs at the earlier ones."""
     lowest: float | None = None
     """Lowest elevation on the sphere in degrees, in [-90, 90); 0: the upper hemisphere, for an
     object on a table (default: -90)."""

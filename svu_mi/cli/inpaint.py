@@ -48,8 +48,8 @@ class Inpaint(CaptureCommand, ResultCommand):
     recovered: From
     """Folder written by svu recover for the same capture."""
     above: float = inf
-    """Also fill seen texels with a parameter whose standard deviation, in [0, 1], is larger, such
-    as 0.2. Positive; inf fills unseen texels only."""
+    """Also fill seen texels where a parameter has a larger standard deviation than this positive
+    number, such as 0.2; inf: fill unseen texels only."""
     model: Weights = None
     """Folder of published weights of Marigold (intrinsics, appearance) or RGB<->X, which have their
     own licences; needs svu_mi[diffusion] (default: similar texels)."""

@@ -45,8 +45,8 @@ class FindLight(CaptureCommand, ResultCommand):
     texels: int = LightOptions.texels
     """Maximum number of sampled texels, in [16, 10000]; more take longer and change little."""
     depths: Depths = LightOptions.depths
-    """Cells of the sphere, in [64, 4096] and ascending, and iterations at each; more cells resolve
-    smaller lamps."""
+    """Pairs: cells of the sphere, in [64, 4096] and ascending, and iterations with them; more
+    cells resolve smaller lamps."""
     seed: int = LightOptions.seed
     """Random seed of the posterior samples of the light; at least 0."""
     light_moves: Switch = False

@@ -48,13 +48,13 @@ class Recover(CaptureCommand, ResultCommand):
     preset: Literal["default", "paper", "coefficients", "spectrum", "polish", "paper_polish"] = (
         "default"
     )
-    """paper: the published losses and rates; coefficients, spectrum: its other losses of sh;
-    polish, paper_polish: the last epoch of sh+path alone."""
+    """paper: the published losses and rates; coefficients, spectrum: other losses of the paper,
+    for sh; polish, paper_polish: only the last step of sh+path, one epoch of path."""
     sharing: bool = False
-    """Learn a prior from all texels, for objects of few materials; Eq. 14 and 15 with the presets
-    of the paper."""
+    """Learn a prior from all texels, for objects of few materials. The presets of the paper then
+    use its Eq. 14 and 15."""
     tv: float | None = None
-    """Weight of total variation, at least 0; more is smoother (default: from the preset)."""
+    """Weight of total variation, at least 0; larger: smoother (default: from the preset)."""
     epochs: float | None = None
     """Number of times that path uses each pixel, more than 0 (default: from the preset)."""
     steps: int | None = None

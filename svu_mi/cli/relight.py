@@ -43,10 +43,10 @@ class Relight(CaptureCommand, ResultCommand):
     environment: Map = None
     """Lat-long EXR or HDR map, top +Y, centre +Z (default: the light of the capture)."""
     sensors: Poses = None
-    """Poses of a transforms.json, capture.json or Mitsuba XML file (default: --views poses of the
-    photographs)."""
+    """File of poses: transforms.json, capture.json or Mitsuba XML (default: the poses of some
+    photographs, see --views)."""
     views: int = 3
-    """Number of poses of the photographs, far apart, without --sensors; at least 1."""
+    """Without --sensors: number of photographs whose poses are used, far apart; at least 1."""
     side: int = 512
     """Maximum of the longer side of an image in pixels, in [1, 8192]; larger films are reduced."""
     spp: int = 16

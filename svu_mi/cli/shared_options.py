@@ -37,8 +37,8 @@ Memory = Annotated[
     str,
     arg(
         metavar="SIZE",
-        help="Memory for photographs, such as 4G or 800M; those beyond it are kept in a temporary "
-        "file in TMPDIR (default: half of the free memory).",
+        help="Memory for photographs, such as 4G or 800M; if they need more, they are kept in a "
+        "temporary file in TMPDIR (default: half of the free memory).",
     ),
 ]
 Missing = Literal["refuse", "leave-out"]
@@ -156,8 +156,8 @@ class EstimateOptions:
     """paper: the published method; fast: less accurate, grey; fixed (angular only): noise of 8 %
     of the mean radiance instead of estimated noise."""
     known: Known = ()
-    """Value of a parameter that is not estimated, such as metallic=0; scene: all that are constant
-    in the scene's material. Repeatable (default: all are estimated)."""
+    """Value of a parameter that is not estimated, such as metallic=0; scene: all parameters that
+    are constant in the scene's material. Repeatable (default: all are estimated)."""
 
     @property
     def model(self) -> str:
