@@ -40,7 +40,7 @@ class Subject(Protocol):
 
     @property
     def name(self) -> str:
-        """Folder of its records."""
+        """Name of the folder of the case's records."""
 
     @property
     def title(self) -> str:
@@ -146,7 +146,7 @@ class CaseSubject:
 
     @property
     def name(self) -> str:
-        """Folder of its records."""
+        """Name of the folder of the case's records."""
         return self.case.name
 
     @property
@@ -197,7 +197,7 @@ class Experiment:
     whole: bool = False
 
     def run(self, bench: BenchRun, report: Callable[[Record], None] | None = None) -> Record:
-        """Measure all unfinished rows of all cases; skip failed ones with a warning.
+        """Measure all rows of all cases without a cached record; skip failures with a warning.
 
         Args:
             bench: Folder, sizes and options of the run.

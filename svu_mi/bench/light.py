@@ -78,7 +78,7 @@ class EstimatedLightCase(CaseSubject):
         }
 
     def compared(self) -> Record:
-        """Estimate the light; compare textures and entropies under both lights."""
+        """Estimate the light; compare results under the given and the estimated light."""
         options = LightOptions(depths=((64, 3), (128, 2))) if self.bench.quick else LightOptions()
         start = time.perf_counter()
         light = estimate_light(self.observed, options=options)

@@ -75,7 +75,7 @@ class PathsCase(CaseSubject):
         return self.bench.capture(self.case), self.bench.capture(lit, "capture_all_light")
 
     def capture_of(self, kind: str) -> Capture:
-        """Return the photographs of one of ``KINDS``."""
+        """Return the capture for a kind in ``KINDS``."""
         return self.captures[kind in ("photographs", "both")]
 
     @cached_property

@@ -79,7 +79,7 @@ class ProblemSizes:
         texels: Texels per side.
         speed_texels: Texels per side for run times.
         reference_texels: Number of texels of the reference posterior.
-        reference_spp: Samples per ray of the reference. Fewer suffice for its entropy, but at
+        reference_spp: Samples per ray of the reference. Fewer suffice for the entropy, but at
             bright texels the posterior would then fit the noise.
         seed: Seed of photographs and reference.
         speed_film: Pixels per side of a photograph for run times.

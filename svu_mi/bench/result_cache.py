@@ -22,7 +22,7 @@ AROUND = ("bench", "cli", "output")  # folders of svu_mi that do not affect resu
 def key_of(*parts: Any) -> str:
     """Return a short digest of settings (JSON values) and of svu_mi's version.
 
-    A result is reused only if its key is equal, so that results for other settings or versions
+    A result is reused only if the key is equal, so that results for other settings or versions
     are computed again.
     """
     text = json.dumps([svu_mi.__version__, *parts], sort_keys=True, default=str)
@@ -70,7 +70,7 @@ class Store:
         return record if matches else None
 
     def save(self, name: str, key: str, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Write a record atomically; return it as ``load`` will.
+        """Write a record atomically; return it as ``load`` returns it.
 
         Raises:
             OutputError: The file cannot be written, or a value is not JSON.

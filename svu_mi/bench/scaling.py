@@ -2,7 +2,7 @@
 
 A line a + b n is fitted to the times; its R^2 measures linearity with a constant overhead. The
 slope of the upper half on logarithmic axes is the exponent of growth where the overhead matters
-least. Both use the least time of several runs, because other load only adds time. All sizes run
+least. Both use the shortest time of several runs, because other load only adds time. All sizes run
 in turns, so that slow periods of the machine affect them equally.
 """
 

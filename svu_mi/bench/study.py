@@ -172,7 +172,7 @@ def provenance(record: Record) -> str:
 
 
 def study_of(name: str) -> Study:
-    """Return the study of one of ``BENCHMARKS``."""
+    """Return the study with a name in ``BENCHMARKS``."""
     return import_module(f"svu_mi.bench.{name}").STUDY
 
 

@@ -89,7 +89,7 @@ class SurenessCase(CaseSubject):
         return interval_coverage(*recovered, self.truth)
 
     def filled(self) -> Record:
-        """Fill a hidden third of the surface, and return scores of it.
+        """Fill a hidden third of the surface, and return its scores.
 
         Returns:
             ``hidden``, fraction of filled texels; ``held``, coverage of intervals by parameter;

@@ -103,7 +103,7 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
 
 
 def views_ratio(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
-    """Return the ratio of the views that two strategies need, ``other`` over ``first``.
+    """Return the ratio of the numbers of views that ``other`` and ``first`` need for a gain.
 
     The ratio is a lower bound if ``other`` never gains ``step``, and NaN if ``first`` does not.
     """

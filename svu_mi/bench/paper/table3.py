@@ -118,7 +118,7 @@ class Table3(CaseSubject):
 
     @cached_property
     def entropies(self) -> dict[str, list[np.ndarray]]:
-        """Entropies of the reference and its halves, by ``sum`` and ``mean`` of errors."""
+        """Entropies of reference and halves, by ``sum`` and ``mean`` of errors over views."""
         reference, result = self.reference, {}
         posterior = partial(tabulated_posterior, grid=reference.posterior.grid, observed=self.seen)
         views = reference.coverage[:, None, None, None]

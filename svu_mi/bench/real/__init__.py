@@ -56,7 +56,7 @@ class HoldoutCase:
 
     @property
     def name(self) -> str:
-        """Folder of its records."""
+        """Name of the folder of the case's records."""
         return self.source.resolve().stem
 
     @property
@@ -65,7 +65,7 @@ class HoldoutCase:
         return self.name
 
     def settings(self, row: Predictor | None) -> Any:
-        """Return the inputs of a row; a part of its cache key."""
+        """Return the inputs of a row, for its cache key."""
         return self._key, self.every, self._size, row and row.label
 
     @cached_property

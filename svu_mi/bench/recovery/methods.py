@@ -32,7 +32,7 @@ class RecoveryMethod:
         method: Method of ``recover``.
         sh: Preset of the SH model.
         path: Preset of path tracing.
-        sharing: Pull uncertain texels towards certain ones.
+        sharing: Use a prior of materials, learned from all texels.
     """
 
     label: str

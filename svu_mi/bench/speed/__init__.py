@@ -101,7 +101,7 @@ class SpeedCase(CaseSubject):
         return {"value": value, "seconds": timed.seconds, "pearson": rho}
 
     def points(self, values: Sequence[int]) -> Sequence[int]:
-        """Return the measured values of a curve."""
+        """Return the values of a scaling curve that are measured: every ``stride``-th."""
         return values[:: self.bench.sizes.stride]
 
 

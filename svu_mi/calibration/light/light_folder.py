@@ -171,7 +171,10 @@ def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
     require_schema(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}))
     draws, cells, _ = arrays["draws"].shape
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
-        raise ValueError(f"it contains {cells} cells and {draws} draws")
+        raise ValueError(
+            f"{cells} cells and {draws} draws; {FEWEST_CELLS} to {MOST_CELLS} cells and 1 to "
+            f"{MOST_DRAWS} draws are possible"
+        )
     names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")
     real = {name: arrays[name].astype(np.float64) for name in names if name in arrays}
     still, moving = arrays["misfit"].tolist()
