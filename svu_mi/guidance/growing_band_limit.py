@@ -118,7 +118,7 @@ class _WeightedHypotheses(SpectrumHypotheses):
         self._least, self._total = self._sums()
 
     def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
-        """Return probability (normalised likelihood), Ks_0^2 e_l and -log prior."""
+        """Return probability (normalised likelihood), Ks_0^2 e_l and -log prior of a hypothesis."""
         _, fall, prior = super().truth(number)
         away = mi.Float(dr.minimum(self._energy(number) - self._least, 1e3))
         return dr.exp(-away) / self._total, fall, prior

@@ -68,7 +68,7 @@ class Measure(Protocol):
 
 @dataclass(frozen=True)
 class EntropyMeasure:
-    """Normalised entropy (Eq. 5) by the chain rule: entropy of rows plus colours given rows.
+    """Normalised entropy (Eq. 5) by the chain rule: entropy of rows + of colours given the row.
 
     Attributes:
         max_entropy: Entropy in nats that is scaled to 1: log n for n cells, or the prior's.

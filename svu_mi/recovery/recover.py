@@ -189,7 +189,7 @@ def _minimise(
 def regularized(
     data: Objective, terms: Sequence[tuple[float, LossTerm]], fixed: dict[str, Any]
 ) -> Objective:
-    """Return the loss data + sum of weight * term; terms also read ``fixed``."""
+    """Return the loss ``data`` + sum of weight * term; terms also read ``fixed``."""
     weights = [dr.opaque(mi.Float, weight) for weight, _ in terms]
 
     def objective(textures: dict[str, Any], step: int) -> Any:

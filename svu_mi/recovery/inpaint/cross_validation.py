@@ -38,8 +38,8 @@ DIVISIONS = 2  # divisions of the surface into FEWEST_PARTS
 def holdout_masks(graph: TexelGraph) -> list[np.ndarray]:
     """Return masks (T,) of known texels to hold out, similar to unseen regions.
 
-    Texels of a mask have similar normals (or, on a flat object, lie on one side of its centre). Its
-    size is about the number of unknown texels.
+    Texels of a mask have similar normals (or, on a flat object, lie on one side of its centre). The
+    number of texels in a mask is about the number of unknown texels.
     """
     point, normal = graph.pieces.point, graph.pieces.normal
     side = point / np.maximum(np.linalg.norm(point, axis=1, keepdims=True), 1e-9)

@@ -323,7 +323,7 @@ def field_around(
 
 
 def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
-    """Return rho, (N, T)."""
+    """Return rho, the correlated share of the variance, (N, T)."""
     parts = np.concatenate([
         np.full(CHANNELS[name], COMMON_MIXED if name in MIXED else COMMON) for name in NAMES
     ])  # fmt: skip
