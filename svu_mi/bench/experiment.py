@@ -106,7 +106,7 @@ class BenchRun:
             store: Cache of the record.
             name: File name of the record.
             title: Title of the measurement for the progress display.
-            settings: Inputs of the measurement other than the code, as JSON.
+            settings: Inputs of the measurement as JSON, without the code.
             measure: Returns the record.
         """
         key, code = key_of(settings), code_now()

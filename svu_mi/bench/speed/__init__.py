@@ -50,7 +50,7 @@ PLAIN_PSI, LINEAR_PSI = 512, 32  # materials psi of the extrapolated posterior
 
 @dataclass(frozen=True)
 class SpeedCase(CaseSubject):
-    """The case of all run times.
+    """Case on which all run times are measured.
 
     Attributes:
         variants: Timed estimators; scaling curves exist for the presets ``default`` and ``fixed``.
@@ -82,7 +82,7 @@ class SpeedCase(CaseSubject):
 
     @cached_property
     def timed(self) -> tuple[Capture, Texels]:
-        """Capture and texels of all run times."""
+        """Capture and texels on which run times are measured."""
         return timed_setting(self.bench, self.case)
 
     def curves(self, curve: Callable[[SpeedCase, Variant], list[Record]]) -> Record:
@@ -106,7 +106,7 @@ class SpeedCase(CaseSubject):
 
 
 def timed_setting(bench: BenchRun, case: Case) -> tuple[Capture, Texels]:
-    """Return the capture and the texels of all run times."""
+    """Return the capture and the texels on which run times are measured."""
     capture = bench.capture(case, _timed_name(bench), film=bench.sizes.speed_film)
     return capture, texels(capture.mesh, bench.sizes.speed_texels)
 
