@@ -119,8 +119,8 @@ class Bench(BaseCommand):
         if self.what != "real":
             if self.capture is not None:
                 raise OptionError(
-                    f"svu bench {self.what} runs on scenes, not on {self.capture}; omit it, or use "
-                    "svu bench real."
+                    f"svu bench {self.what} runs on scenes, not on {self.capture}; omit the path, "
+                    "or use svu bench real."
                 )
             return
         if self.capture is None:

@@ -10,5 +10,5 @@ FEWEST_THREADS = 2
 
 
 def ensure_threads(count: int = 0) -> None:
-    """Set Dr.Jit's thread count (0: no change), but to at least ``FEWEST_THREADS``."""
+    """Set Dr.Jit's thread count (0: keep it); the minimum is ``FEWEST_THREADS``."""
     dr.set_thread_count(max(count or dr.thread_count(), FEWEST_THREADS))

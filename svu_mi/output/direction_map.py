@@ -31,7 +31,7 @@ def draw_directions(
     photographs are crosses, and proposals have their rank.
 
     Returns:
-        Mapping of the candidates' colours, for ``figure.colorbar``.
+        ``ScalarMappable`` with the candidates' colours, for ``figure.colorbar``.
     """
     center, _ = bounding_sphere(capture.shape)
     used = directions_of(capture.used_sensors, center)

@@ -40,7 +40,7 @@ def write_overview(
 ) -> None:
     """Draw photographs, entropy, coverage and marginals (1600 x 940 pixels).
 
-    ``summary`` contains the widths of the intervals; computed by default.
+    ``summary`` contains the widths of the intervals; default: computed here.
 
     Raises:
         OutputError: the file cannot be written.

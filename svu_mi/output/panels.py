@@ -107,7 +107,7 @@ def draw_on_object(
 
 
 def draw_look(axes: Axes, look: ObjectView, colors: np.ndarray) -> None:
-    """Draw the object with a texture (H, W, 3) of screen colours, cropped to the object."""
+    """Draw the view ``look`` of the object, textured with screen colours (H, W, 3), cropped."""
     shown = look.painted(colors)
     style.draw_image(
         axes, object_views.crop(shown[..., :3], object_views.object_window(shown[..., 3] > 0))

@@ -171,7 +171,7 @@ def text_in(record: Any, *names: str) -> str:
 
 
 def require_no_result(folder: Path) -> None:
-    """Raise CaptureError if a folder contains the result of a command, but no capture."""
+    """Raise CaptureError if a folder contains a result other than a capture."""
     entries = entries_in(folder)
     if others := [entry.command for entry in entries.values() if entry.command not in CAPTURES]:
         record = read_json(folder / RUN_RECORD) if RUN_RECORD in entries else None

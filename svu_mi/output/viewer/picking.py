@@ -180,7 +180,7 @@ def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None)
 
 
 def draw_scale(scale: Scale | None) -> np.ndarray:
-    """Draw a colour bar, (h, w, 3) uint8; one white pixel without a scale."""
+    """Draw a colour bar, (h, w, 3) uint8; one white pixel if ``scale`` is None."""
     if scale is None:
         return np.full((1, 1, 3), 255, np.uint8)
     figure = new_figure(WIDTH, 0.55, DPI, layout="constrained")
