@@ -259,7 +259,7 @@ def _cause(path: str | None) -> str:
 
 
 def find_candidates() -> Iterator[tuple[str, str]]:
-    """Yield (source, path) of library files, the preferred first; later ones take longer."""
+    """Yield (source, path) of library files, the preferred first; later ones are slower to find."""
     conda = os.environ.get("CONDA_PREFIX")
     if sys.platform == "win32":
         if conda:

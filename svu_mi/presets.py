@@ -282,7 +282,7 @@ class AngularPreset(_Channels):
         return self.cells > 0
 
     def kappa(self, unit: float) -> float:
-        """Return the radiance above which weights of samples decrease; infinity: equal weights.
+        """Return the radiance above which weights of samples decrease; infinity if they are equal.
 
         Args:
             unit: mean radiance of the photographs.

@@ -66,7 +66,7 @@ def credible_coverage(probabilities: Any, bins: Any, mass: float) -> CredibleCov
     p = _distributions(probabilities)
     true = np.array(bins)
     if true.shape != (len(p),) or true.dtype.kind not in "iu":
-        raise ShapeError(f"cells must be ({len(p)},) integers, got {true.dtype} {true.shape}.")
+        raise ShapeError(f"bins must be ({len(p)},) integers, got {true.dtype} {true.shape}.")
     if true.min() < 0 or true.max() >= p.shape[1]:
         raise ShapeError(f"A true cell is outside the grid of {p.shape[1]} cells.")
     own = p[np.arange(len(p)), true][:, None]

@@ -30,7 +30,7 @@ def psnr(estimate: Any, truth: Any) -> float:
     a, b = np.array(estimate, np.float64), np.array(truth, np.float64)
     if a.shape != b.shape or a.size == 0:
         raise ShapeError(
-            f"psnr() needs two arrays of one shape with values, got {a.shape} and {b.shape}."
+            f"psnr() needs two non-empty arrays of equal shape, got {a.shape} and {b.shape}."
         )
     require_finite(a, "the estimate")
     require_finite(b, "the truth")

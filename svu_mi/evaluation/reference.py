@@ -107,7 +107,7 @@ class Reference(TracedTables):
 
     @staticmethod
     def of(traced: TracedTables, options: ReferenceOptions, *, cached: bool) -> Reference:
-        """Return the reference of traced tables."""
+        """Compute the posteriors from traced tables, and return the reference."""
         whole, first, second = traced.posteriors(options)
         return Reference(
             **{field.name: getattr(traced, field.name) for field in fields(traced)},

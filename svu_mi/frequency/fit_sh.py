@@ -182,7 +182,7 @@ def fit_sh(
 
 
 def _fitted(samples: _Samples, system: FitSystem, groups: list[SolverGroup], texels: int) -> Any:
-    """Return the coefficients of all texels, flat, texel-major."""
+    """Return the coefficients of all texels as a flat array, ordered by texel."""
     coefficients = dr.zeros(mi.Float, texels * (system.degree + 1) ** 2 * samples.channels)
     dr.eval(coefficients)
     for group in groups:
@@ -220,7 +220,7 @@ def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
 
 @dr.syntax
 def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
-    """Return number of visible views and index of the first invalid view (else ``views``)."""
+    """Return the number of visible views, and the index of the first invalid one (or ``views``)."""
     visible, first_bad = mi.UInt32(0), mi.UInt32(views)
     view = mi.UInt32(0)
     while view < views:

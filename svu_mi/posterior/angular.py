@@ -205,7 +205,7 @@ def _require_levels(
         raise ShapeError(
             "angular_posterior(): the grid's roughness is "
             f"{_listed(grid.roughness_nodes[levels])}, but the statistics have "
-            f"{_listed(roughness)}; gather them at the nodes of the grid."
+            f"{_listed(roughness)}; gather the statistics at the nodes of the grid."
         )
 
 

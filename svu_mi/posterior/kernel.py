@@ -208,7 +208,7 @@ def observed_by(caller: str, factors: Factors, copies: int, texels: int | None) 
     total = last + 1 if texels is None else texels
     if copies < 1 or total <= last:
         raise OptionError(
-            f"{caller}: copies must be at least 1 and texels more than {last}, got "
+            f"{caller}: copies must be at least 1 and texels greater than {last}, got "
             f"{copies} and {texels}."
         )
     observed = np.zeros(total, bool)

@@ -1,7 +1,7 @@
 """Photographs, light, texels and visibility of a capture, shared by all later stages.
 
 Estimates, recovery, guidance and references reuse one ``Observed``. Silhouettes, rays to cameras
-and rays to light cells are computed on first use, once.
+and rays to light cells are computed once, on first use.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ class Observed:
         light_channels: int | None = None, weighting: Weighting = UNIFORM,
         texels: np.ndarray | None = None,
     ) -> Factors:  # fmt: skip
-        """Return the factors of ``statistics``; stores no sums unless samples are saturated."""
+        """Return the factors of ``statistics()``; sums are stored only with saturated samples."""
         model = self.model(roughness, switches, light_channels or channels, texels)
         if self._counts_clipped(weighting):
             return self._with_clipped(model, channels, weighting).factor()

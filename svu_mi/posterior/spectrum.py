@@ -246,7 +246,7 @@ def _constant(
 
 
 def _unit(switches: Preset, S_L: Any, S_B: Any, seen: np.ndarray, scale: float | None) -> float:
-    """Return the unit of sigma, one power for all texels."""
+    """Return the unit of sigma, a power that is equal for all texels."""
     if switches.noise == "fixed":
         return 1.0
     if scale is None:

@@ -14,7 +14,7 @@ def marginals(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
 
 
 def sample_index(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
-    """Sample indices of N weights, (..., t, N), from random numbers (count, t) in [0, 1)."""
+    """Sample indices in proportion to ``weights``, (..., t, N); ``random`` is (count, t)."""
     below = np.cumsum(weights, axis=-1)
     picked = (below <= random[..., None] * below[..., -1:]).sum(axis=-1)
     return np.minimum(picked, weights.shape[-1] - 1)

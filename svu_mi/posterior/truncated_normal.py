@@ -71,7 +71,7 @@ class ChannelLikelihood:
 
     @staticmethod
     def of(u: list[Any], v: list[Any], floor: Any) -> ChannelLikelihood:
-        """Return the likelihood of components u and v; ``floor`` is added to |v|^2."""
+        """Return the likelihood for the energy 1/2 |c u + v|^2; ``floor`` is added to |v|^2."""
         A, B = _dot(u, u), _dot(u, v)
         c = dr.clip(-B / dr.maximum(A, 1e-30), 0, 1)
         rest = [dr.fma(c, a, b) for a, b in zip(u, v, strict=False)] + v[len(u) :]
@@ -204,7 +204,7 @@ class ChannelLikelihood:
         return dr.log(mass) - worse, dr.clip(mean, low, high), variance
 
     def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, _Tail, _Tail]:
-        """Return the integral on [low, high], over the density at ``best``, and both tails."""
+        """Return the integral over [low, high] relative to density at ``best``, and both tails."""
         a, b = self._tail(low, best), self._tail(high, best)
         left, right = (y < mi.Float64(self.mu) for y in (low, high))
         mass = dr.select(

@@ -25,7 +25,7 @@ from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes
 
 @dataclass(frozen=True)
 class IncidentLight:
-    """Light, its visibility (None: unoccluded), and number of channels, 3 or 1."""
+    """Light, visibility of its cells (None: unoccluded), and number of channels, 3 or 1."""
 
     lighting: Lighting
     visibility: LightVisibility | None
@@ -33,7 +33,7 @@ class IncidentLight:
 
 
 class FittedLobes(Protocol):
-    """Interface of lobes of each texel's fitted light (``frequency/sh_lobes.py``)."""
+    """Interface of lobes that use a fit of each texel's light (``frequency/sh_lobes.py``)."""
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light reflected towards a camera by the lobe of each level."""

@@ -39,7 +39,7 @@ class PrefilteredModel:
 
     Attributes:
         light: light prefiltered at R roughness levels, uniform on [0, 1].
-        albedo: (R * ALBEDO_NODES * 4,) Float: split-sum pair (A, B), D of a dielectric, 0.
+        albedo: (R * ALBEDO_NODES * 4,) Float: A and B (split sum), D (dielectric) and 0 per node.
         narrow: True: oblique lobes are narrower; False: as in Eq. 6.
     """
 

@@ -75,7 +75,7 @@ def sample_light_visibility(
 
 
 def _density(lobe: Any, outgoing: Any, incoming: Any) -> Any:
-    """Return the density of local directions from visible normal sampling [1/sr]."""
+    """Return the sampling density [1/sr] of local directions (visible normal sampling)."""
     half = dr.normalize(outgoing + incoming)
     density = lobe.pdf(outgoing, half) / (4 * dr.dot(outgoing, half))
     return dr.select((incoming.z > 0) & (outgoing.z > 0), density, 0)

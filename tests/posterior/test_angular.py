@@ -148,7 +148,7 @@ def test_unseen_texels_have_the_prior_for_their_posterior(switches, rows):
 
 def test_wrong_input_is_named():
     statistics = of(random_samples(np.random.default_rng(3), 2, 1))
-    with pytest.raises(ShapeError, match="gather them at the nodes of the grid") as caught:
+    with pytest.raises(ShapeError, match="statistics at the nodes of the grid") as caught:
         angular_posterior(statistics)
     assert "\n" not in str(caught.value)
     with pytest.raises(ShapeError, match="the grid's roughness is"):
@@ -166,7 +166,9 @@ def test_wrong_input_is_named():
     with pytest.raises(ShapeError, match=r"levels must be \(5,\) booleans"):
         angular_posterior(statistics, PRINCIPLED, levels=np.arange(5))
     for wrong in ({"copies": 0}, {"texels": 1}):
-        with pytest.raises(OptionError, match="copies must be at least 1 and texels more than 1"):
+        with pytest.raises(
+            OptionError, match="copies must be at least 1 and texels greater than 1"
+        ):
             angular_posterior(statistics, PRINCIPLED, **wrong)
     with pytest.raises(OptionError, match="Unknown switch 'lobes'"):
         angular(lobes="ggx")

@@ -437,7 +437,7 @@ def test_metals_are_a_switch() -> None:
         ({"prior": np.ones((2, 2))}, ShapeError, "prior must be"),
         ({"prior": -np.ones((8, 8, 8))}, OptionError, "non-negative"),
         ({"copies": 0}, OptionError, "copies"),
-        ({"texels": 3}, OptionError, "texels more than"),
+        ({"texels": 3}, OptionError, "texels greater than"),
     ],
 )
 def test_bad_arguments(options: dict[str, object], error: type[Exception], words: str) -> None:
