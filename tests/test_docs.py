@@ -75,7 +75,7 @@ def test_every_command_is_documented(pages):
 
     page = pages["notebooks/commands"]
     for name in (each.__metadata__[0].name for each in get_args(Command)):
-        assert f"svu {name}" in headings(page) and f"usage: svu {name} [-h]" in page, name
+        assert f"svu {name}" in headings(page) and f"usage: svu {name} " in page, name
 
 
 def test_every_plugin_is_documented(pages):
