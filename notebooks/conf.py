@@ -58,6 +58,9 @@ capture = svu.load_capture("capture")
 texels = svu.texels(capture.mesh, 64)
 estimate = svu.estimate(capture, texels)
 recovery = svu.recover(estimate)
+gains = svu.estimate_gains(capture, texels)
+options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+light = svu.estimate_light(capture, texels, options)
 """
 doctest_global_cleanup = "os.chdir('/')"
 

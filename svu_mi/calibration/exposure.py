@@ -108,7 +108,7 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
         CaptureError: The numbers of gains and used photographs differ, or all are outliers.
 
     Example:
-        >>> svu.equalized(capture, svu.estimate_gains(capture, texels)).count
+        >>> svu.equalized(capture, gains).count
         12
     """
     kept = np.flatnonzero(capture.used)

@@ -63,9 +63,8 @@ def check(
         OptionError: ``capture`` is not a ``Capture``.
 
     Example:
-        >>> result = svu.check(capture)
-        >>> len(result.views), result.fixes
-        (12, ())
+        >>> svu.check(capture, gains=lambda: gains).fits
+        True
     """
     require_variant()
     if not isinstance(capture, Capture):

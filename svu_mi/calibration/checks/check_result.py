@@ -103,8 +103,9 @@ class Check:
         camera_axes: (4, 4) matrix assumed by ``camera-inverse`` (see ``apply_fixes``).
 
     Example:
-        >>> svu.check(capture).fits
-        True
+        >>> result = svu.check(capture)
+        >>> result.fits, len(result.views), result.fixes
+        (True, 12, ())
     """
 
     views: tuple[ViewCheck, ...]

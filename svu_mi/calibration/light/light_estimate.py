@@ -30,7 +30,6 @@ class FoundGains:
         odd: (V,) bool flags of outliers.
 
     Example:
-        >>> gains = svu.estimate_gains(capture, texels)
         >>> gains.odd.shape, gains.factor.shape
         ((12,), (12, 3))
     """
@@ -69,8 +68,6 @@ class LightEstimate:
         gains: Gains estimated together with the light; None if given.
 
     Example:
-        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
-        >>> light = svu.estimate_light(capture, texels, options)
         >>> light.scaled(2.0).scale_sd.tolist()
         [0.0, 0.0, 0.0]
     """

@@ -65,8 +65,7 @@ def save_light(
         OutputError: The folder or a file cannot be written.
 
     Example:
-        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
-        >>> svu.save_light(svu.estimate_light(capture, texels, options), "light")
+        >>> svu.save_light(light, "light")
         >>> svu.load_light("light").cells
         64
     """
@@ -128,8 +127,7 @@ def load_light(path: str | Path) -> LightEstimate:
             different run.
 
     Example:
-        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
-        >>> svu.save_light(svu.estimate_light(capture, texels, options), "light")
+        >>> svu.save_light(light, "light")
         >>> svu.load_light("light").radiance.shape
         (129, 256, 3)
     """

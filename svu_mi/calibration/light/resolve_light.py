@@ -51,8 +51,7 @@ def with_light(capture: Capture, light: LightEstimate) -> Capture:
         SceneError: The light moves with the cameras, which scenes do not support.
 
     Example:
-        >>> options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
-        >>> lit = svu.with_light(capture, svu.estimate_light(capture, texels, options))
+        >>> lit = svu.with_light(capture, light)
         >>> lit.light_uncertainty is None
         False
     """
