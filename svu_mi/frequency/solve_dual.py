@@ -116,7 +116,10 @@ def _dual_right(samples: list, bi: Any, free: bool) -> list:
 
 @dr.syntax
 def _free_constant(solution: list, blocks: Any, products: list) -> tuple[list, list]:
-    """Return z - v c_00 and c_00 = v.z / v.v, with v = L^-1 u."""
+    """Remove the constant term from a solution z of the dual system.
+
+    Returns z - v c_00 and the term c_00 = v.z / v.v, with v = L^-1 u.
+    """
     norm = type(products[0])(0)
     bi = mi.UInt32(0)
     while bi < blocks:

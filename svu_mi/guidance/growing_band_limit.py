@@ -54,7 +54,7 @@ class GrowingForecast(SpectrumForecast):
 
     @property
     def is_separable(self) -> bool:
-        """False: every view changes the light."""
+        """False: the band limit of the light depends on all chosen views."""
         return False
 
     def _evaluate(

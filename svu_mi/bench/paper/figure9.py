@@ -161,7 +161,7 @@ def mean_increase(cases: Sequence[Record], strategy: str, what: str, way: str) -
 
 
 def figure9_tables(cases: list[Record]) -> list[str]:
-    """Return tables of curves, numbers of views and tests."""
+    """Return three tables: curves, numbers of views, and significance tests."""
     sections = ["## Figure 9: views to add"]
     for way, title in RECOVERIES.items():
         start = curves(cases, FARTHEST, "psnr", way)[:, 0].mean()

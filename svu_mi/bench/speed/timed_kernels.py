@@ -1,4 +1,4 @@
-"""Time in kernels by stage, and the visibility pass compared with bare visibility rays.
+"""Kernel times of each stage; times of the visibility pass and of its rays alone.
 
 ``trace_visibility`` projects texels, tests orientation and usable pixels, and then traces rays.
 These rays are recorded and traced again alone: in the same loop over views, and as one wavefront.

@@ -120,10 +120,10 @@ def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> 
 def _shading(
     position: np.ndarray, shown: np.ndarray, features: np.ndarray
 ) -> Callable[[np.ndarray], tuple[float, float]]:
-    """Return a function that correlates irradiance (M, 3) with the radiance of M points.
+    """Return a function of the irradiance (M, 3) that returns two correlations with the radiance.
 
-    It compares clipped log differences between neighbours, before and after regression on
-    orthonormal features (M, F).
+    Both correlate clipped log differences between neighbouring points; for the second one,
+    irradiance and radiance are first regressed on orthonormal features (M, F).
     """
     pairs = neighbors_of(position)
 
