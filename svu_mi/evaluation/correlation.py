@@ -26,7 +26,7 @@ def pearson(x: Any, y: Any) -> float:
 
 
 def spearman(x: Any, y: Any) -> float:
-    """Return Spearman's rank correlation; ties get their mean rank (else as ``pearson``)."""
+    """Return Spearman's rank correlation; ties get their mean rank. 0.0 as in ``pearson``."""
     return _correlation(scipy.stats.spearmanr, x, y)
 
 
@@ -42,8 +42,8 @@ class Interval:
 
     Attributes:
         mean: Mean over all cases.
-        low, high: Ends of the interval; None for fewer than three objects, too few to
-            resample.
+        low, high: Ends of the interval; None for fewer than three objects, which are too
+            few to resample.
         objects: Number of objects.
     """
 

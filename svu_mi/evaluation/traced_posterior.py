@@ -172,7 +172,7 @@ def _renderer(
 def _choose_texels(
     wanted: int | np.ndarray, seen: Visibility, capture: Capture, seed: int
 ) -> np.ndarray:
-    """Return texel indices, (n,) int64. A number draws from seen texels, sorted by index."""
+    """Return (n,) int64 texel indices: ``wanted``, or a sorted random choice of seen texels."""
     visible = np.flatnonzero(seen.coverage.numpy())
     if len(visible) == 0:
         raise CaptureError(

@@ -238,7 +238,7 @@ def _split(points: np.ndarray, weight: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
-    """Return the ancestor of each cluster among the first ``count``."""
+    """Return each cluster's ancestor among the first ``count`` clusters."""
     result = np.arange(len(parent))
     for number in range(count, len(parent)):  # parents precede their children
         result[number] = result[parent[number]]

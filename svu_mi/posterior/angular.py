@@ -195,7 +195,7 @@ def _prior(tables: tuple[np.ndarray, np.ndarray] | None) -> tuple[Any, Any] | No
 def _require_levels(
     levels: np.ndarray, grid: ParameterGrid | PrincipledGrid, roughness: np.ndarray
 ) -> None:
-    """Raise an error if the statistics' ``roughness`` differs from the grid's ``levels``."""
+    """Raise an error if ``roughness`` differs from the grid's nodes selected by ``levels``."""
     if levels.dtype != bool or levels.shape != grid.shape[:1]:
         raise ShapeError(
             f"angular_posterior(): levels must be ({grid.shape[0]},) booleans, got "

@@ -316,7 +316,7 @@ def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
         wanted = f"the known roughness, {nodes[0]:g}"
     else:
         good = len(levels) >= FEWEST and np.allclose(levels, np.linspace(0, 1, len(levels)))
-        wanted = f"at least {FEWEST} even levels from 0 to 1"
+        wanted = f"at least {FEWEST} evenly spaced levels from 0 to 1"
     if not good:
         raise ShapeError(
             f"calibrated_posterior(): statistics must be gathered at {wanted}, got roughness "

@@ -335,7 +335,7 @@ class Posterior(Generic[K]):
         return mean, sd
 
     def _shaped(self, name: str, values: np.ndarray) -> Any:
-        """Return values (..., g) as a tensor, without the last axis if channels share them."""
+        """Return values (..., g) as a tensor, without the last axis if channels share values."""
         own = self.kernel.channels_of(name) > 1
         return _tensor(values.copy() if own else values[..., 0].copy())
 

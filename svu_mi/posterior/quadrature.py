@@ -133,7 +133,7 @@ def bin_axis(nodes: np.ndarray) -> QuadratureAxis:
 
 
 def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
-    """Divide the bins of N nodes into at least ``parts`` parts; one if N is 1."""
+    """Divide the bins of N nodes into at least ``parts`` parts; into one part if N is 1."""
     if len(nodes) == 1:
         return QuadratureAxis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
     per_half = max(1, -(-parts // (2 * (len(nodes) - 1))))

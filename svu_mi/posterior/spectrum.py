@@ -173,7 +173,7 @@ def _spectrum(name: str, values: Any) -> Any:
     spectrum = tensor(values, "spectrum_posterior()", name, axes, copy=True)
     if spectrum.shape[1] < 2 or spectrum.shape[2] < 1:
         raise ShapeError(
-            f"spectrum_posterior(): {name} needs l* >= 1 and a channel, got shape "
+            f"spectrum_posterior(): {name} needs a degree l* >= 1 and a channel, got shape "
             f"{tuple(spectrum.shape)}."
         )
     if spectrum.shape[0] and not dr.all((spectrum.array >= 0) & dr.isfinite(spectrum.array)):

@@ -127,7 +127,7 @@ def _bins(
 
 
 def _constants(problem: SpectrumProblem, texel: Any) -> list[tuple[Any, Any, Any] | None]:
-    """Return sqrt(S_B(0)), 2 E / sqrt(pi) and sqrt(S_L(0)), all / (sqrt(2) sigma), per group."""
+    """Return sqrt(S_B(0)), 2 E / sqrt(pi) and sqrt(S_L(0)) per group, over sqrt(2) sigma."""
     if problem.constant is None:
         return [None] * len(problem.groups)
     scale = math.sqrt(0.5) * dr.rcp(problem.constant.sigma)

@@ -545,7 +545,7 @@ def test_levels_that_cannot_be_interpolated_are_refused(levels: list[float]) -> 
     samples, _ = simulate(8, 4, 0.1)
     table = samples.sums()[: len(levels)]
     source = Statistics.of(table, samples.w.sum(axis=1), np.full(8, 4), np.array(levels), 0.5)
-    with pytest.raises(ShapeError, match="even levels from 0 to 1"):
+    with pytest.raises(ShapeError, match="evenly spaced levels from 0 to 1"):
         calibrated_posterior(source)
 
 
