@@ -64,8 +64,8 @@ class Preset(_Channels):
     """True: R_00 = e^0 = 1 (Eq. 12 as printed). False: l = 0, the diffuse term, is unpenalised."""
 
     band_limit: BandLimit = "photographs"
-    """Band limit of the light in guidance: as in the estimate, or (Eq. 13 as printed) higher with
-    each chosen view; see ``GuidanceOptions``."""
+    """Band limit of the light in guidance. ``photographs``: as in the estimate; ``growing``: higher
+    with each chosen view (Eq. 13 as printed). See ``GuidanceOptions``."""
 
     undo_prefilter: bool = False
     """True: use alpha^2 - alpha'^2 in the likelihood, because the light is band-limited at
@@ -104,7 +104,7 @@ class Preset(_Channels):
     """Standard deviation of the power of a degree, in the unit given by ``noise``."""
 
     constant_sigma: float = 0.06
-    """Standard deviation of sqrt(S(0)): in radiance if ``noise`` is ``fixed``, else relative
+    """Standard deviation of sqrt(S(0)): in radiance if ``noise`` is ``fixed``, otherwise relative
     to the square root of the capture's mean power."""
 
     def __post_init__(self) -> None:
@@ -202,10 +202,10 @@ class AngularPreset(_Channels):
     metallic, and a base colour (or Ks) per channel with the others marginalised."""
 
     noise: AngularNoise = "estimated"
-    """``estimated``: noise of each texel from its residual (``posterior/noise.py``). The others
-    assume sigma for the root mean squared error over views. ``fixed``: in radiance; ``relative``:
-    relative to the capture's mean radiance; ``heteroscedastic``: relative, and increasing with the
-    radiance of the sample."""
+    """``estimated``: noise of each texel from its residual (``posterior/noise.py``). The other
+    rules assume ``sigma`` for the root mean squared error over views. ``fixed``: in radiance;
+    ``relative``: relative to the capture's mean radiance; ``heteroscedastic``: relative, and
+    increasing with the radiance of the sample."""
 
     sigma: float = 0.08
     """Standard deviation of a texel's root mean squared error, in the unit given by ``noise``;
@@ -224,11 +224,11 @@ class AngularPreset(_Channels):
     """Overdispersion tau: N samples with correlated errors count as N / tau (calibrated)."""
 
     degrees: float = 4.0
-    """Degrees of freedom nu of the noise prior: it counts as nu samples with the noise of the
-    median texel (calibrated)."""
+    """Degrees of freedom nu of the noise prior. The prior counts as nu samples with the noise of
+    the median texel (calibrated)."""
 
     knee: float = 0.5
-    """kappa: radiance above which noise increases in proportion to it, relative to the mean
+    """kappa: radiance above which noise increases in proportion to radiance, relative to the mean
     radiance (calibrated)."""
 
     edges: float = 60.0
@@ -304,11 +304,11 @@ class Skip:
     """
 
     unseen: bool = True
-    """Skip texels that no photograph shows: no occlusion rays, statistics or fits."""
+    """Skip occlusion rays, statistics and fits of texels that no photograph shows."""
 
     pairs: bool = True
-    """Skip pairs of texel and view that face away from each other or have no usable pixel: no ray.
-    Skip pairs that are not visible: no pixel is read and no reflection computed."""
+    """Trace no ray for pairs of texel and view that face away from each other or have no usable
+    pixel. Read no pixel and compute no reflection for pairs that are not visible."""
 
     blind: bool = True
     """Skip views that show no texel."""
@@ -317,8 +317,8 @@ class Skip:
     """Compute one channel instead of three if light or photographs are grey."""
 
     levels: bool = True
-    """Skip roughness nodes that the prior excludes: no prefiltered light and no statistics. (If
-    noise is estimated, statistics need all levels.)"""
+    """Skip prefiltered light and statistics of roughness nodes that the prior excludes. (If noise
+    is estimated, statistics need all levels.)"""
 
 
 NOTHING = Skip(unseen=False, pairs=False, blind=False, channels=False, levels=False)
