@@ -132,7 +132,7 @@ def _pictures(
 
 
 def _light(capture: Capture) -> dict[str, Any] | None:
-    """Return maps and sentences of estimated light; None if the light was given."""
+    """Return maps and text of an estimated light; None if the light was given."""
     light = capture.found_light
     if light is None:
         return None
