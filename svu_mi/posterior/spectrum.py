@@ -104,8 +104,8 @@ def spectrum_posterior(
             requires the irradiance without one.
 
     Example:
-        >>> light = np.ones((5, 7, 3))  # texels, degrees 0 to 6, channels
-        >>> posterior = svu.spectrum_posterior(light, 0.1 * light, svu.ParameterGrid(16, 16))
+        >>> power = np.ones((5, 7, 3))  # texels, degrees 0 to 6, channels
+        >>> posterior = svu.spectrum_posterior(power, 0.1 * power, svu.ParameterGrid(16, 16))
         >>> posterior.probabilities.shape
         (5, 16, 16, 3)
     """

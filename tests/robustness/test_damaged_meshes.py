@@ -158,11 +158,14 @@ def test_time_grows_with_the_length_of_an_attribute(tmp_path):
 
     def seconds(letters):
         path = write_scene(tmp_path, extra=f'<string name="x" value="{"a" * letters}"/>')
-        start = time.perf_counter()
-        check_xml(path, {})
-        return time.perf_counter() - start
+        times = []
+        for _ in range(3):  # the least: other work only ever adds time
+            start = time.process_time()
+            check_xml(path, {})
+            times.append(time.process_time() - start)
+        return min(times)
 
-    assert seconds(1 << 24) < 24 * max(seconds(1 << 21), 0.01)
+    assert seconds(1 << 24) < 32 * max(seconds(1 << 21), 0.01)
 
 
 def test_large_xml_is_refused_unread(tmp_path):

@@ -38,8 +38,8 @@ class Light:
         scale: factor of the radiance.
 
     Example:
-        >>> light = svu.Light(path="scenes/lights/window.exr", scale=2.0)
-        >>> light.to_world.shape
+        >>> environment = svu.Light(path="scenes/lights/window.exr", scale=2.0)
+        >>> environment.to_world.shape
         (3, 3)
     """
 
