@@ -58,8 +58,8 @@ capture = svu.load_capture("capture")
 texels = svu.texels(capture.mesh, 64)
 estimate = svu.estimate(capture, texels)
 recovery = svu.recover(estimate)
-gains = svu.estimate_gains(capture, texels)
 options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
+gains = svu.estimate_gains(capture, texels, options)
 light = svu.estimate_light(capture, texels, options)
 """
 doctest_global_cleanup = "os.chdir('/')"

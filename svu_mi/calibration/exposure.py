@@ -67,7 +67,7 @@ def estimate_gains(
         CaptureError: No texel is seen in enough photographs, or all photographs are black.
 
     Example:
-        >>> gains = svu.estimate_gains(capture, texels)
+        >>> gains = svu.estimate_gains(capture, texels, svu.LightOptions(texels=100))
         >>> gains.factor.shape
         (12, 3)
     """
