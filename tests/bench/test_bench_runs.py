@@ -22,7 +22,7 @@ from svu_mi.bench.guidance import ViewSelectionCase
 from svu_mi.bench.guidance.guidance_tables import compare, mean_increase, views_needed, views_ratio
 from svu_mi.bench.problem_sizes import GuidanceSizes, ProblemSizes, RecoverySizes
 from svu_mi.bench.recovery import RelightingScorer, TextureScorer, next_light_case
-from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
+from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER
 from svu_mi.bench.recovery.recovery_tables import find_bars
 from svu_mi.bench.study import Selection, read_record, run_bench, study_of
 from svu_mi.capture.sensors import bounding_sphere, directions_of
@@ -32,7 +32,7 @@ from svu_mi.recovery.recover import recover
 from svu_mi.recovery.svbrdf_textures import lay_out, uniform_textures
 
 CASES = own_cases(["vase"], ["window"])
-METHODS = (SH, SH_PATH, PATH, SH_PAPER)
+METHODS = (SH, PATH, SH_PAPER)
 STRATEGIES = ("entropy", "farthest", "random")
 SIZES = ProblemSizes(
     views=6, film=32, spp=4, texels=32, speed_texels=32, reference_texels=20, reference_spp=4,
