@@ -412,12 +412,12 @@ def short(records: dict[str, Record]) -> list[Row]:
             ["Peak memory of that process", f"{way['cold']['peak_mib']:.0f} MiB", ""],
         ]  # fmt: skip
     if "recovery" in records:
-        ours, path = ([[mean(row["psnr"]["average"] for row in found), seconds(
-            mean(row["seconds"] for row in found))] for found in [rows_of(records["recovery"], label)]
-        ][0] for label in (SH.label, PATH.label))  # fmt: skip
+        found = [rows_of(records["recovery"], way.label) for way in (SH, PATH)]
+        psnr = [mean(row["psnr"]["average"] for row in results) for results in found]
+        time = [seconds(mean(row["seconds"] for row in results)) for results in found]
         rows.append(["Average PSNR of recovered textures; time",
-                     f"{ours[0]:.1f} dB; {ours[1]}",
-                     f"{path[0]:.1f} dB; {path[1]} by path tracing"])  # fmt: skip
+                     f"{psnr[0]:.1f} dB; {time[0]}",
+                     f"{psnr[1]:.1f} dB; {time[1]} by path tracing"])  # fmt: skip
     if "sureness" in records:
         held = [row["held"].values() for row in rows_of(records["sureness"], "textures")]
         rows.append(["90 % intervals of recovered textures that contain the truth",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 import platform
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +19,7 @@ from svu_mi.bench.experiment import BenchRun, Experiment, Record
 from svu_mi.bench.markdown import Bar, bar_table, failed_cases, save
 from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.core.io.files import prepare_folder, write_text
+from svu_mi.core.memory import physical_memory
 from svu_mi.core.validation import require_known
 from svu_mi.errors import OptionError
 from svu_mi.output.run_record import environment_record, write_manifest
@@ -136,10 +136,12 @@ class Study:
 
 def provenance_record(command: str) -> Record:
     """Return the command, date and environment of a run."""
+    memory = physical_memory()
+    machine = {"cpu": cpu_name(), "memory_gib": None if memory is None else memory / 2**30}
     return {
         "command": command,
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "environment": {**environment_record(), "cpu": cpu_name(), "memory_gib": memory_gib()},
+        "environment": environment_record() | machine,
     }
 
 
@@ -150,14 +152,6 @@ def cpu_name() -> str:
     except OSError:
         return platform.processor()
     return next((line.partition(": ")[2] for line in lines if line.startswith("model name")), "")
-
-
-def memory_gib() -> float | None:
-    """Return the size of the main memory in GiB; None if the system does not provide it."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
-    except (AttributeError, OSError, ValueError):
-        return None
 
 
 def provenance(record: Record) -> str:

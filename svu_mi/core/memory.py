@@ -336,8 +336,11 @@ def _own_memory() -> int:
 
 def _available() -> int | None:
     free = _field(MEMINFO, "MemAvailable", 1024)
-    if free is not None:
-        return free
+    return physical_memory() if free is None else free
+
+
+def physical_memory() -> int | None:
+    """Return the main memory of the machine in bytes; None if the system does not provide it."""
     with suppress(OSError, ValueError, AttributeError):  # not on Windows
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return None
