@@ -198,5 +198,7 @@ def setup(app: Sphinx) -> None:
     app.add_generic_role("math", nodes.emphasis, override=True)  # MathJax needs a network
     app.connect("missing-reference", in_mitsubas_manual)
     app.connect("source-read", complete)
+    # Both pages change without their files: a page is added, or the help of a command changes.
+    app.connect("env-get-outdated", lambda *_: [root_doc, "notebooks/commands"])
     app.connect("autodoc-process-docstring", read_docstring)
     app.connect("autodoc-process-signature", without_factories)
