@@ -7,6 +7,9 @@ triangles take 0.03 to 0.05 s.
 
 from __future__ import annotations
 
+import os
+import struct
+import zlib
 from collections.abc import Mapping
 from os.path import exists, isfile  # unlike Path's, they raise nothing for long names
 from pathlib import Path
@@ -16,6 +19,7 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from svu_mi.capture.mesh import READING, mesh_error, missing_corner
+from svu_mi.core.io.files import may_hold
 from svu_mi.core.validation import require_views
 from svu_mi.errors import SceneError, excerpt
 
@@ -27,6 +31,8 @@ MOST_PARAMETERS = 1000
 LONGEST = 300  # characters of a path in messages
 READERS = ("ply", "serialized", "obj")  # shape plugins that read meshes from files
 KEYS = ("filename", "shape_index")  # properties that select the mesh
+CORNERS = 12  # bytes of a vertex or triangle of a serialized mesh, at least
+HEADER = 2**12  # bytes before its numbers: flags and a name
 
 
 def check_xml(path: Path, defines: Mapping[str, str]) -> None:
@@ -154,13 +160,36 @@ def check_files(state: Any, label: str) -> None:
 
 def _check_mesh(settings: dict[str, Any], label: str) -> None:
     try:
+        if settings["type"] == "serialized":
+            _check_serialized(_path(settings["filename"]), int(settings.get("shape_index", 0)))
         mesh: Any = mi.load_dict({**settings, "face_normals": True})
-    except READING as error:
+    except (OSError, ValueError, struct.error, zlib.error, *READING) as error:
         raise SceneError(
             f"{label}: cannot be read: {mesh_error(error)}; export the mesh again."
         ) from error
     if problem := missing_corner(mesh):
         raise SceneError(f"{label}: {problem}; export the mesh again.")
+
+
+def _check_serialized(path: Path, index: int) -> None:
+    """Raise ValueError if a mesh declares more than its file can contain.
+
+    Mitsuba allocates memory for any number, or keeps its lower 32 bits. A file is a sequence of
+    compressed meshes, their offsets, and their number.
+    """
+    with path.open("rb") as file:
+        version = struct.unpack("<HH", file.read(4))[1]
+        if index:
+            word = 8 if version > 3 else 4
+            file.seek(-4, os.SEEK_END)
+            (count,) = struct.unpack("<I", file.read(4))
+            file.seek(-4 - word * (count - index), os.SEEK_END)
+            file.seek(int.from_bytes(file.read(word), "little") + 4)
+        head = zlib.decompressobj().decompress(file.read(2 * HEADER), HEADER)
+    name = head.index(b"\0", 4) + 1 if version > 3 else 4
+    vertices, triangles = struct.unpack_from("<QQ", head, name)
+    if not may_hold(path, CORNERS * (vertices + triangles)):
+        raise ValueError(f"the file cannot contain {vertices} vertices and {triangles} triangles")
 
 
 def _path(name: str) -> Path:

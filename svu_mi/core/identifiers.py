@@ -5,11 +5,21 @@ Ids of shapes and sensors can contain line breaks, quotes and unpaired surrogate
 
 from __future__ import annotations
 
+import os
 import re
 
 from svu_mi.errors import excerpt
 
 NAMELESS = "object"
+LONGEST = 240  # bytes of a file name; file systems take 255, and .NAME.svu-draft has 11 more
+
+
+def fits_file_name(name: str) -> bool:
+    """Return whether a name, with what svu adds to it, is short enough for file systems."""
+    try:
+        return len(os.fsencode(name)) <= LONGEST
+    except UnicodeEncodeError:  # unpaired surrogates, which JSON allows
+        return False
 
 
 def plain_name(name: str) -> str:

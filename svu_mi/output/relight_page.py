@@ -17,6 +17,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.image_io import quantized
 from svu_mi.capture.tonemap import tone_mapped
+from svu_mi.core.identifiers import fits_file_name
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing
@@ -71,7 +72,8 @@ def write_relighting(
 def view_file_names(names: Sequence[str]) -> list[str]:
     """Return file names without suffix: names of the views if valid, else numbers."""
     own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
-    if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
+    valid = all(PLAIN.fullmatch(name) and fits_file_name(name) for name in names)
+    if valid and len(own) == len(names) + 2:
         return list(names)
     return [f"view_{number:04d}" for number in range(len(names))]
 

@@ -127,6 +127,16 @@ def test_arrays_that_are_none_are_named(kept, changes, message):
         svu.load_light(kept)
 
 
+@pytest.mark.parametrize("misfit", [(np.nan, 0.02), (np.nan, np.nan), (0.02, np.inf), (-1, 1)])
+def test_the_light_in_use_has_a_misfit(kept, misfit):
+    """NaN stands for light that was not tested, here moving light only."""
+    arrays = read_arrays(kept / "light.npz")
+    assert not arrays["moves"] and np.isnan(arrays["misfit"]).tolist() == [False, True]
+    write_arrays(kept / "light.npz", {**arrays, "misfit": np.array(misfit)})
+    with pytest.raises(CaptureError, match=r"light\.npz: cannot be used \(.*misfit"):
+        svu.load_light(kept)
+
+
 def test_a_cut_file_is_named(kept):
     path = kept / "light.npz"
     path.write_bytes(path.read_bytes()[:-100])

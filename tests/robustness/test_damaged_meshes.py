@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 from support.helpers import ball, python, sensor_xml, write_ball, write_scene
 
+from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, read_ply, write_ply
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.scene_files import check_xml
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.cli.main import main
-from svu_mi.errors import OutputError, SceneError
+from svu_mi.errors import MeshError, OutputError, SceneError
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int64)
@@ -57,10 +58,12 @@ def ply(faces: np.ndarray = FACES, *, vertices: int = 4, count: int = 4) -> byte
     return head.encode() + CORNERS.tobytes() + rows.tobytes()
 
 
-def serialized(faces: np.ndarray = FACES, *, count: int = 4) -> bytes:
-    body = struct.pack("<I2sQQ", 0x1000, b"x\0", 4, count)
-    body += CORNERS.tobytes() + faces.astype("<u4").tobytes()
-    return struct.pack("<HH", 0x041C, 4) + zlib.compress(body) + struct.pack("<QI", 0, 1)
+def serialized(
+    faces: np.ndarray = FACES, *, vertices: int = 4, count: int = 4, version: int = 4
+) -> bytes:
+    body = struct.pack("<I", 0x1000) + (b"x\0" if version == 4 else b"")
+    body += struct.pack("<QQ", vertices, count) + CORNERS.tobytes() + faces.astype("<u4").tobytes()
+    return struct.pack("<HH", 0x041C, version) + zlib.compress(body) + struct.pack("<QI", 0, 1)
 
 
 def obj(last: str) -> bytes:
@@ -77,7 +80,11 @@ DAMAGED = {
     "nan.ply": (ply().replace(CORNERS.tobytes()[:4], b"\0\0\xc0\x7f"), "invalid vertex position"),
     "empty.ply": (b"", "cannot be read: "),
     "corner.serialized": (serialized(WRONG), "refers to vertex"),
-    "huge.serialized": (serialized(count=10**15), "cannot be read: "),
+    "huge.serialized": (serialized(count=10**15), "cannot contain 4 vertices and 1000000000000000"),
+    "many.serialized": (serialized(vertices=2**40), "cannot contain 1099511627776 vertices"),
+    "same.serialized": (serialized(vertices=2**32 + 4), "cannot contain 4294967300 vertices"),
+    "third.serialized": (serialized(vertices=2**40, version=3), "cannot contain 1099511627776 ver"),
+    "garbage.serialized": (struct.pack("<HH", 0x041C, 4) + b"\x78\x9c" * 99, "cannot be read: "),
     "cut.serialized": (serialized()[:30], "cannot be read: "),
     "corner.obj": (obj("1 2 9999999"), "invalid vertex 9999999"),
     "normal.obj": (obj("1//1 2//5 3//1"), "invalid normal"),
@@ -100,6 +107,80 @@ def test_damaged_meshes_of_a_scene_are_refused(tmp_path):
     for path, text, (name, (_, pattern)) in zip(paths, said, DAMAGED.items(), strict=True):
         assert text.startswith(f"{path}: ") and name in text.removeprefix(str(path))
         assert re.search(pattern, text), text
+
+
+@pytest.mark.parametrize(("index", "version", "word"), [(0, 4, "Q"), (1, 4, "Q"), (1, 3, "I")])
+def test_every_mesh_of_a_serialized_file_is_measured(tmp_path, index, version, word):
+    first = serialized(version=version)[:-12]
+    parts = [first, serialized(version=version)[:-12]]
+    for vertices in (4, 2**40):
+        parts[index] = serialized(vertices=vertices, version=version)[:-12]
+        offsets = struct.pack(f"<2{word}I", 0, len(parts[0]), 2)
+        (tmp_path / "two.serialized").write_bytes(b"".join(parts) + offsets)
+        path = write_scene(
+            tmp_path,
+            extra=f'''<shape type="serialized" id="two">
+            <string name="filename" value="two.serialized"/>
+            <integer name="shape_index" value="{index}"/></shape>''',
+        )
+        if vertices == 4:
+            assert "two" in [shape.id() for shape in load_scene(path).shapes()]
+            continue
+        with pytest.raises(SceneError, match=r"two\.serialized: .* 1099511627776 vertices"):
+            load_scene(path)
+
+
+def glb(nodes: list[dict[str, object]], roots: list[int], **changes: object) -> bytes:
+    """A triangle, in a GLB file; ``changes`` to the accessor or view of its indices."""
+    data = CORNERS[:3].tobytes() + np.array([0, 1, 2, 0], "<u2").tobytes()
+    view = {"buffer": 0, "byteOffset": 36, "byteLength": 6}
+    accessor = {"bufferView": 1, "componentType": 5123, "count": 3, "type": "SCALAR"}
+    for key, value in changes.items():
+        (view if key in view else accessor)[key] = value
+    corners = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
+    record = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": roots}], "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [corners, accessor], "buffers": [{"byteLength": 44}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}, view],
+    }  # fmt: skip
+    body = json.dumps(record).encode()
+    body += b" " * (-len(body) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(body) + len(data), len(body), b"JSON")
+    return head + body + struct.pack("<I4s", len(data), b"BIN\0") + data
+
+
+def chain(depth: int) -> list[dict[str, object]]:
+    return [*({"children": [k + 1]} for k in range(depth - 1)), {"mesh": 0}]
+
+
+REFUSED_GLTF = {
+    "deep": (glb(chain(20_000), [0]), "nested more than 500 deep"),
+    "a ring": (glb([{"children": [1]}, {"children": [0], "mesh": 0}], [0]), "two parents"),
+    "twice": (glb([{"children": [1, 1]}, {"mesh": 0}], [0]), "two parents"),
+    "two names": (glb([{"children": [1, -1]}, {"mesh": 0}], [0]), "node 0|two parents"),
+    "sparse": (glb(chain(1), [0], sparse={"count": 1}), "indices is .*sparse"),
+    "accessor before": (glb(chain(1), [0], bufferView=0, byteOffset=-8), "byteOffset|past the end"),
+    "view before": (glb(chain(1), [0], buffer=0, byteOffset=-8), "byteOffset|past the end"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED_GLTF)
+def test_gltf_that_another_reader_would_read_otherwise_is_refused(tmp_path, case):
+    """Sparse indices were ignored, and 20 000 nested nodes took 18 s."""
+    data, reason = REFUSED_GLTF[case]
+    (tmp_path / "mesh.glb").write_bytes(data)
+    start = time.process_time()
+    with pytest.raises(MeshError, match=rf"mesh\.glb: .*({reason})"):
+        read_textured_mesh(tmp_path / "mesh.glb")
+    assert time.process_time() - start < 2
+
+
+def test_gltf_of_500_levels_is_read(tmp_path):
+    (tmp_path / "mesh.glb").write_bytes(glb(chain(500), [0]))
+    np.testing.assert_array_equal(
+        read_textured_mesh(tmp_path / "mesh.glb").mesh.positions, CORNERS[:3]
+    )
 
 
 INSIDE = '<string name="filename" value="$file"/>'

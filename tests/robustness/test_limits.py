@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import struct
 import time
 
 import mitsuba as mi
@@ -13,14 +15,19 @@ from support.helpers import fails, sensor_xml, unit_vectors, write_scene
 
 from svu_mi import scenes
 from svu_mi.capture.crop import Window
+from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.photographs import open_photographs, read_photographs
 from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import load_scene
+from svu_mi.cli.batch.capture_list import read_list
+from svu_mi.cli.main import main
 from svu_mi.core import validation
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
+from svu_mi.core.io.files import replacing, write_text
 from svu_mi.errors import CaptureError, OptionError, SceneError
 from svu_mi.light.environment import read_environment
 from svu_mi.light.latlong import grid_size, radiance_from
+from svu_mi.output.relight_page import view_file_names
 
 SECONDS = 8  # a refusal, on a busy machine
 VASE = scenes.path("vase")
@@ -203,3 +210,73 @@ def test_all_parts_are_compared_with_the_memory(tmp_path, monkeypatch):
     free(monkeypatch, 300_000)
     with pytest.raises(CaptureError, match="values take at least .* export only its colours"):
         read_exr(tmp_path / "parts.exr")
+
+
+def npy(array):
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def npz(arrays):
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+MANY = 10_001  # poses; 10 000 are supported
+CAMERA = struct.pack("<IiQQ4d", 1, 1, 16, 8, 20, 20, 8, 4)
+IMAGE = struct.pack("<I7dI", 1, 1, 0, 0, 0, 0, 0, 3, 1) + b"a.png\0" + struct.pack("<Q", 0)
+POSES = {
+    "colmap images": {
+        "cameras.bin": struct.pack("<Q", 1) + CAMERA,
+        "images.bin": struct.pack("<Q", MANY) + IMAGE * MANY,
+    },
+    "colmap cameras": {"cameras.bin": struct.pack("<Q", MANY) + CAMERA * MANY, "images.bin": b""},
+    "colmap text images": {
+        "cameras.txt": b"1 PINHOLE 16 8 20 20 8 4\n",
+        "images.txt": b"1 1 0 0 0 0 0 3 1 a.png\n\n" * MANY,
+    },
+    "colmap text cameras": {
+        "cameras.txt": b"".join(b"%d PINHOLE 16 8 20 20 8 4\n" % k for k in range(MANY)),
+        "images.txt": b"",
+    },
+    "llff": {"poses_bounds.npy": npy(np.zeros((MANY, 17)))},
+    "idr": {"cameras.npz": npz({f"world_mat_{k}": np.zeros(1) for k in range(2 * MANY)})},
+    "owl": {"exposure.txt": b"0", **{f"camera_{k:05d}.txt": b"" for k in range(MANY)}},
+    "transforms": {"transforms.json": b'{"frames": [%s{}]}' % (b"{}," * (MANY - 1))},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", POSES)
+def test_too_many_poses_are_refused_before_the_first_is_used(tmp_path, kind):
+    for name, data in POSES[kind].items():
+        (tmp_path / name).write_bytes(data)
+    start = time.process_time()
+    with pytest.raises(CaptureError, match=r"at most (1|2)0000 .* got (10001|20002); "):
+        read_source(tmp_path)
+    assert time.process_time() - start < 2
+
+
+LONG = "\u82b1" * 80  # 240 bytes; file systems take 255
+
+
+def test_names_are_measured_in_bytes(tmp_path, capsys):
+    """80 letters, with what is added to them, were too long when all work was done."""
+    write_text(tmp_path / f"{LONG}.html", "page")
+    with replacing(tmp_path / f"a.{LONG}") as temporary:
+        temporary.write_text("")
+    assert view_file_names([LONG, "b"]) == [LONG, "b"]
+    write_exr(tmp_path / f"{LONG}.exr", {"Y": np.zeros((2, 2), np.float32)})
+    assert view_file_names([LONG + "\u82b1", "b"]) == ["view_0000", "view_0001"]
+    write_scene(tmp_path, sensors=sensor_xml(1))
+    for end, length in ((LONG[:79] + ".html", 242), (LONG + "\u82b1", 243)):
+        assert len(end.encode()) == length
+        command = ["report"] if length == 242 else ["entropy"]
+        assert main([*command, str(tmp_path / "scene.xml"), "-o", str(tmp_path / end)]) == 2
+        said = capsys.readouterr().err
+        assert said.endswith(": the name has over 240 bytes; choose a shorter one.\n")
+    (tmp_path / "captures" / (LONG + "\u82b1")).mkdir(parents=True)
+    (tmp_path / "captures" / (LONG + "\u82b1") / "capture.json").write_text("{}")
+    with pytest.raises(OptionError, match=r"capture name .* is too long; rename the capture"):
+        read_list(tmp_path / "captures")

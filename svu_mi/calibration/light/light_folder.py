@@ -163,7 +163,10 @@ def load_light(path: str | Path) -> LightEstimate:
 
 
 def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
-    """Return the light from arrays, whose misfit may be NaN; raise ValueError if invalid."""
+    """Return the light from arrays; raise ValueError if invalid.
+
+    The misfit is NaN for light that was not tested: fixed light if it moves, or the reverse.
+    """
     has_gains = not GAIN_ARRAYS.keys().isdisjoint(arrays)
     known = {"misfit": np.nan_to_num(arrays["misfit"])} if "misfit" in arrays else {}
     require_schema(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}))
@@ -173,6 +176,8 @@ def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
             f"{cells} cells and {draws} draws; {FEWEST_CELLS} to {MOST_CELLS} cells and 1 to "
             f"{MOST_DRAWS} draws are possible"
         )
+    if np.isnan(arrays["misfit"][int(arrays["moves"])]):
+        raise ValueError("the misfit of the chosen light is NaN")
     names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")
     real = {name: arrays[name].astype(np.float64) for name in names if name in arrays}
     still, moving = arrays["misfit"].tolist()

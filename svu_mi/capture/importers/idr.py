@@ -27,6 +27,7 @@ from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Sourc
 from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_arrays
+from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, OptionError
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def read(path: Path, options: ReadOptions) -> Source:
 def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
     """Return all ``world_mat``, and the common ``scale_mat`` or None."""
     try:
-        arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE)
+        arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE, 2 * MAX_VIEWS)
     except ValueError as error:
         raise CaptureError(f"{file}: {error}; write the cameras again.") from error
     count = max(sum(name.startswith(WORLD) for name in arrays), 1)

@@ -18,6 +18,7 @@ from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Sou
 from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_array
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 FILE, SUFFIX = "poses_bounds.npy", ".npy"
 IMAGES, MASKS = ("images",), ("masks", "mask")
 COLUMNS = 17  # of the table: a 3 x 5 matrix and two distances
-LARGEST_FILE = 2**24  # bytes: 100 000 poses
+LARGEST_FILE = 2**24  # bytes: ten times the poses of the most photographs
 
 
 def recognises(path: Path, _: str) -> bool:
@@ -84,6 +85,7 @@ def _rows(file: Path) -> np.ndarray:
             f"{file}: holds {content}; poses of LLFF have {COLUMNS} numbers for each photograph: "
             "export them again."
         )
+    require_views(len(rows), f"{file}: poses", CaptureError)
     return rows
 
 

@@ -48,6 +48,8 @@ IGNORED_GLTF = {
     "normalTexture": "a normal map", "occlusionTexture": "an occlusion map",
     "emissiveTexture": "emission", "alphaMode": "transparency",
 }  # fmt: skip
+DEEPEST = 500  # nested nodes, as in scenes; trimesh's time grows with the square
+OFFSETS = ("byteOffset", "byteLength", "byteStride", "count")
 MODEL = "KHR_materials_"  # prefix of extensions of the reflection model
 
 
@@ -139,15 +141,17 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
             raise MeshError(f"{path}: is compressed ({name}); export it without compression.")
     held = _file_bytes(path, record)
     _refuse_bombs(path, record, held)
+    _refuse_nesting(path, record)
     attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
     accessors = record.get("accessors", ())
     for primitive in _primitives(record):
-        for name in attributes:
-            index = primitive["attributes"].get(name)
+        used = {name: primitive["attributes"].get(name) for name in attributes}
+        for name, index in {**used, "indices": primitive.get("indices")}.items():
             given = {} if index is None else accessors[index]
-            if given.get("componentType", FLOAT) != FLOAT or "sparse" in given:
+            quantised = name != "indices" and given.get("componentType", FLOAT) != FLOAT
+            if quantised or "sparse" in given:
                 raise MeshError(
-                    f"{path}: its {name} is quantised or sparse; export it with plain floats, or "
+                    f"{path}: its {name} is quantised or sparse; export it with plain numbers, or "
                     "convert it with gltf-transform dequantize."
                 )
     if not geometry_only and any(map(_has_transform, _nested_objects(record.get("materials", ())))):
@@ -198,8 +202,25 @@ def _file_bytes(path: Path, record: Mapping[str, Any]) -> int:
 def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
     counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
     used = [counts[index] for p in _primitives(record) for index in p["attributes"].values()]
-    if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > max(FREE, held):
+    places = [*record.get("accessors", ()), *record.get("bufferViews", ())]
+    lowest = min((place.get(key, 0) for place in places for key in OFFSETS), default=0)
+    if lowest < 0 or max(sum(counts), sum(used)) > max(FREE, held):
         raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
+
+
+def _refuse_nesting(path: Path, record: Mapping[str, Any]) -> None:
+    """Raise unless the nodes of the scene are trees, of limited depth."""
+    nodes, scenes = record.get("nodes", ()), record.get("scenes", ())
+    level = list(scenes[record.get("scene", 0)].get("nodes", ())) if scenes else []
+    linked = level + [child for node in nodes for child in node.get("children", ())]
+    if len(set(linked)) < len(linked) or min(linked, default=0) < 0:
+        raise MeshError(f"{path}: a node has two parents; export it again.")
+    for _ in range(DEEPEST):
+        level = [child for index in level for child in nodes[index].get("children", ())]
+    if level:
+        raise MeshError(
+            f"{path}: nodes are nested more than {DEEPEST} deep; export it with fewer levels."
+        )
 
 
 def _nested_objects(value: Any) -> Iterator[Mapping[str, Any]]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, RIGID, Frame, Light, Source
 from svu_mi.capture.sensors import affine
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ def read(path: Path, _: ReadOptions) -> Source:
     cameras = sorted(inputs.glob("camera_*.txt"))
     if not cameras:
         raise CaptureError(f"{inputs}: no camera_0000.txt, ...; copy the object again.")
+    require_views(len(cameras), f"{inputs}: cameras", CaptureError)
     (stops,) = _numbers(inputs / EXPOSURE, 1)
     if abs(stops) > STOPS:
         raise CaptureError(

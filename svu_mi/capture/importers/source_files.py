@@ -9,9 +9,9 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from svu_mi.capture.image_io import SUFFIXES
+from svu_mi.core.identifiers import fits_file_name
 from svu_mi.errors import CaptureError, excerpt
 
-LONGEST = 240  # bytes of one part of a path; file systems take 255, and suffixes are added
 LONGEST_PATH = 2048  # bytes
 CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # invalid in names, and executed by terminals
 SHOWN = 60  # characters of a name in a message
@@ -34,24 +34,16 @@ def safe_path(root: Path, name: Any, label: str) -> Path:
             f"{label}: {shown} lies outside {root}; move the file into it and give its "
             "path relative to that folder."
         )
-    if not name or not parts or not _is_usable(parts):
+    path = root.joinpath(*parts)
+    is_short = all(map(fits_file_name, parts)) and len(os.fsencode(path)) <= LONGEST_PATH
+    if not name or not parts or not is_short or CONTROL.search("".join(parts)):
         raise CaptureError(f"{label}: {shown} is not a valid file name; rename the file.")
-    return root.joinpath(*parts)
+    return path
 
 
 def relative_name(root: Path, file: Path) -> str:
     """Return the path of a file relative to a folder; its name if it is elsewhere."""
     return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
-
-
-def _is_usable(parts: tuple[str, ...]) -> bool:
-    """Return whether the operating system accepts a file of this name."""
-    try:
-        sizes = [len(os.fsencode(part)) for part in parts]
-    except UnicodeEncodeError:  # unpaired surrogates, which JSON allows
-        return False
-    fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
-    return fits and CONTROL.search("".join(parts)) is None
 
 
 def find_folder(kind: str, asked: Path | None, places: Iterable[Path]) -> Path | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from svu_mi.capture.capture_folder import FILE
+from svu_mi.core.identifiers import fits_file_name
 from svu_mi.errors import CaptureError, OptionError, OutputError, excerpt
 
 # Optional columns of a table other than "name": options of the commands.
@@ -145,10 +146,11 @@ def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
 def _require_names(path: Path, items: Sequence[BatchItem]) -> None:
     names = [item.name.casefold() for item in items]  # some file systems ignore case
     for number, name in enumerate(names):
-        if name in (INDEX, TABLE):
+        if name in (INDEX, TABLE) or not fits_file_name(name):
+            reason = "reserved" if name in (INDEX, TABLE) else "too long"
             raise OptionError(
-                f"{path}: the capture name {items[number].name!r} is reserved; rename the "
-                "capture, or change its entry in the column name of the table."
+                f"{path}: the capture name {excerpt(items[number].name, LONGEST)!r} is {reason}; "
+                "rename the capture, or change its entry in the column name of the table."
             )
         if name in names[:number]:
             raise OptionError(

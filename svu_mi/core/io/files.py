@@ -22,7 +22,7 @@ except ImportError:  # Windows
 
 MAX_RATIO, FREE = 2000, 2**26  # largest compression ratio; bytes that are always accepted
 OURS = ".svu-"  # part of the names of hidden temporary files and folders
-STEM = 100  # letters of a name in its temporary name, as file systems limit its length
+SUFFIX = 16  # letters of a suffix in temporary names
 
 _stamp: ContextVar[Mapping[str, str] | None] = ContextVar("stamp", default=None)
 
@@ -67,8 +67,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     # The suffix stays last: matplotlib and others infer the format from it.
-    unique = f"{secrets.token_hex(4)}{OURS}tmp"
-    temporary = path.with_name(f".{path.stem[:STEM]}.{unique}{path.suffix[:STEM]}")
+    temporary = path.with_name(f".{secrets.token_hex(8)}{OURS}tmp{path.suffix[:SUFFIX]}")
     descriptor = None
     try:
         # Opened here because the operating system's reason is clearer than OpenEXR's.

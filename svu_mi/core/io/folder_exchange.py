@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from svu_mi.core.identifiers import LONGEST, fits_file_name
 from svu_mi.errors import OutputError
 
 try:
@@ -58,6 +59,8 @@ def locked(target: Path, wait: float = 0) -> Iterator[Path]:
     Raises:
         OutputError: another writer holds the lock, or the draft cannot be created.
     """
+    if not fits_file_name(target.name):
+        raise OutputError(f"{target}: the name has over {LONGEST} bytes; choose a shorter one.")
     draft = beside(target, DRAFT)
     descriptor = _acquire(draft, target, wait)
     own = draft.lstat()

@@ -106,11 +106,13 @@ def read_foreign_array(path: Path, largest: int) -> np.ndarray:
         return _numbers(file.read())
 
 
-def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> dict[str, np.ndarray]:
+def read_foreign_arrays(
+    path: Path, wanted: re.Pattern[str], largest: int, most: int
+) -> dict[str, np.ndarray]:
     """Read arrays from an ``.npz`` file that another program wrote.
 
-    ``wanted`` is a pattern of their names. ``largest`` limits the size of the file in bytes, and
-    the total size of the uncompressed arrays.
+    ``wanted`` is a pattern of their names, and ``most`` limits their number. ``largest`` limits the
+    size of the file in bytes, and the total size of the uncompressed arrays.
 
     Returns:
         float64 arrays of any shape by name; NaN and infinity are kept.
@@ -120,6 +122,8 @@ def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> di
     """
     with _opened(path, largest) as file, zipfile.ZipFile(file) as archive:
         members = _members(archive, wanted, PACKINGS, largest)
+        if len(members) > most:
+            raise ValueError(f"at most {most} arrays are supported, got {len(members)}")
         return {name: _numbers(archive.read(member)) for name, member in members.items()}
 
 

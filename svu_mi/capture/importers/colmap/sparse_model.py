@@ -20,6 +20,7 @@ import numpy as np
 
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.core.io.files import replacing
+from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, excerpt
 
 # Number of parameters of each camera model, in the order of COLMAP's sensor/models.h.
@@ -214,7 +215,7 @@ def _records(path: Path) -> Iterator[_BinaryReader]:
 def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras, models = {}, list(PARAMETERS)
     with _parser_errors(path), _records(path) as records:
-        for _ in range(records.take("Q")[0]):  # a damaged count fails at the end of the file
+        for _ in range(_count(records, path)):
             number, model, width, height = records.take("IiQQ")
             if not 0 <= model < len(models):
                 raise ValueError(f"camera model {model} is unknown")
@@ -226,11 +227,17 @@ def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
 def _read_views(path: Path) -> list[Pose]:
     views = []
     with _parser_errors(path), _records(path) as records:
-        for _ in range(records.take("Q")[0]):
+        for _ in range(_count(records, path)):
             _, *pose, camera = records.take("I7dI")
             views.append(Pose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
             records.skip(POINT * records.take("Q")[0])
     return views
+
+
+def _count(records: _BinaryReader, path: Path) -> int:
+    (count,) = records.take("Q")
+    require_views(count, f"{path}: {path.stem}", CaptureError)
+    return int(count)
 
 
 def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
@@ -242,6 +249,7 @@ def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
                 raise ValueError(f"camera model {model!r} is unknown")
             parameters = [float(value) for value in values]
             cameras[_number(number)] = _camera(model, int(width), int(height), parameters)
+            require_views(len(cameras), f"{path}: cameras", CaptureError)
     return cameras
 
 
@@ -254,6 +262,7 @@ def _parse_views(path: Path) -> list[Pose]:
                 raise ValueError("a name is too long")
             pose = [float(field) for field in fields]
             views.append(Pose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
+            require_views(len(views), f"{path}: images", CaptureError)
             # Every second line contains the image's points, and may be empty.
             if len(next(lines, "").split()) % 3:
                 raise ValueError("a line of points (X Y POINT3D_ID ...) is missing or damaged")
