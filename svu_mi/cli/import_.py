@@ -116,11 +116,12 @@ class Import(BaseCommand):
         from svu_mi.capture.importers.import_capture import plan_import
 
         path, reading = self.source, self.reading
-        with tempfile.TemporaryDirectory(prefix="svu-undistorted-") as scratch:
+        # In the draft, where the next import clears what a killed one has left.
+        with tempfile.TemporaryDirectory(prefix=".svu-undistorted-", dir=place.draft) as scratch:
             if self.undistort:
                 with progress.stage("Undistorting photographs"):
                     path = undistort(
-                        path, Path(scratch) / "project", images=reading.images, masks=reading.masks
+                        path, Path(scratch), images=reading.images, masks=reading.masks
                     )
                 reading = replace(reading, format="colmap", images=None, masks=None)
             with progress.stage("Reading poses"):

@@ -5,9 +5,12 @@ pycolmap runs in separate processes, as in the package: its zlib conflicts with 
 
 from __future__ import annotations
 
+import os
+import signal
 import struct
 import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.colmap import write_colmap
-from support.helpers import foreign_source, projected
+from support.helpers import foreign_source, names, projected, run, write_ball
 
 from svu_mi.capture.importers.colmap import project as colmap
 from svu_mi.capture.importers.colmap import undistortion
@@ -29,6 +32,9 @@ from svu_mi.capture.importers.colmap.sparse_model import (
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.capture.importers.source import OPENCV, Source
+from svu_mi.cli.import_ import Import
+from svu_mi.core.io.output_folder import claimed
+from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 
 POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))
@@ -319,8 +325,8 @@ def put_lens(root: Path, directions: list[tuple[float, float]], lens: ColmapCame
 def test_a_bent_lens_is_straightened_with_its_masks(tmp_path):
     directions = [(0.3, 0.1), (-0.4, -0.25)]
     put_lens(tmp_path / "bent", directions)
-    straight = undistortion.undistort(tmp_path / "bent", tmp_path / "straight")
-    assert straight == tmp_path / "straight"
+    (tmp_path / "scratch").mkdir()
+    straight = undistortion.undistort(tmp_path / "bent", tmp_path / "scratch")
     assert sorted(p.name for p in straight.iterdir()) == ["images", "masks", "sparse"]
     for frame, (u, v) in zip(read_colmap(straight).frames, directions, strict=True):
         wanted = frame.focal[0] * u + frame.center[0], frame.focal[1] * v + frame.center[1]
@@ -332,31 +338,53 @@ def test_a_bent_lens_is_straightened_with_its_masks(tmp_path):
             np.testing.assert_allclose(center, wanted, atol=0.2)  # the lens moves the second by 1.2
 
 
-def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch):
+KILL = "import os, signal; os.kill(os.getppid(), signal.SIGKILL)"
+
+
+def test_next_import_clears_what_a_killed_undistortion_has_left(tmp_path, monkeypatch):
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    bent, out = put_lens(tmp_path / "bent", [(0, 0)]), tmp_path / "shelf" / "out"
+    if (pid := os.fork()) == 0:  # pycolmap is replaced by a script that kills the import
+        monkeypatch.setattr(undistortion, "SCRIPT", KILL)
+        try:
+            with claimed(out, "import") as place:
+                Import(source=bent, output=out, undistort=True)._import(Progress(), place)
+        finally:
+            os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == -signal.SIGKILL
+    assert list(out.parent.glob(".out*/.svu-undistorted*/masks/a place/0.png.png"))
+    assert run("import", bent, "--undistort", "--mesh", write_ball(tmp_path), "-o", out) == 0
+    assert names(tmp_path / "tmp") == [] and names(out.parent) == ["out"]
+    assert names(out) == ["capture.json", "mesh.ply", "scene.xml", "view_0000.exr"]
+
+
+def test_what_cannot_be_straightened_is_named(tmp_path, monkeypatch):
+    def undistort(project: Path) -> None:
+        undistortion.undistort(project, Path(tempfile.mkdtemp(dir=tmp_path)))
+
     small = put_lens(tmp_path / "small", [(0, 0)])
     write_model(small / "sparse", {1: replace(LENS, width=91)}, read_model(small / "sparse")[1])
     with pytest.raises(CaptureError, match="0.png: has 90 x 60 pixels, but its camera has 91 x 60"):
-        undistortion.undistort(small, tmp_path / "straight")
+        undistort(small)
     globe = put_lens(tmp_path / "globe", [(0, 0)])
     sphere = replace(LENS, model="EQUIRECTANGULAR", parameters=(90.0, 60.0))
     write_model(globe / "sparse", {1: sphere}, read_model(globe / "sparse")[1])
     with pytest.raises(CaptureError, match="images: COLMAP cannot undistort .* EQUIRECTANGULAR"):
-        undistortion.undistort(globe, tmp_path / "straight")
+        undistort(globe)
     ring = put_lens(tmp_path / "ring", [(0, 0)])
     folded = replace(LENS, parameters=(*LENS.parameters[:3], -2.0))
     write_model(ring / "sparse", {1: folded}, read_model(ring / "sparse")[1])
     with pytest.raises(CaptureError, match=r"sparse: camera 1: the lens \(k1 -2\) folds over"):
-        undistortion.undistort(ring, tmp_path / "straight")
+        undistort(ring)
     with monkeypatch.context() as patch:
         patch.setattr(undistortion, "SCRIPT", "import sys; sys.exit('lost')")
         with pytest.raises(CaptureError, match=r"images: COLMAP cannot undistort them \(lost\)"):
-            undistortion.undistort(globe, tmp_path / "straight")
+            undistort(globe)
     radiance = put(tmp_path / "radiance", view=replace(VIEW, name="a.exr"))
     (radiance / "images" / "a.exr").touch()
     with pytest.raises(CaptureError, match="a.exr: COLMAP undistorts"):
-        undistortion.undistort(radiance, tmp_path / "straight")
+        undistort(radiance)
     monkeypatch.setattr(undistortion.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(SvuEnvironmentError, match=r"svu_mi\[colmap\]"):
-        undistortion.undistort(small, tmp_path / "straight")
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {"small", "globe", "ring", "radiance"}
+        undistort(small)

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
@@ -26,7 +25,7 @@ from svu_mi.capture.importers.resampling import undistorted_frame
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.photographs import read_mask
 from svu_mi.core.io.files import prepare_folder
-from svu_mi.errors import CaptureError, OutputError, SvuEnvironmentError
+from svu_mi.errors import CaptureError, SvuEnvironmentError
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
@@ -35,9 +34,9 @@ LONGEST = 160  # letters of pycolmap's reason in a message
 
 
 def undistort(
-    path: Path, output: Path, *, images: Path | None = None, masks: Path | None = None
+    path: Path, scratch: Path, *, images: Path | None = None, masks: Path | None = None
 ) -> Path:
-    """Write an undistorted copy of a project to an empty or new folder, and return it.
+    """Write an undistorted copy of a project, next to other files of an empty folder; return it.
 
     ``images`` and ``masks`` are folders as in ``project.read``. Without masks, alpha channels
     become masks.
@@ -55,29 +54,22 @@ def undistort(
     cameras = {view.camera: project.cameras[view.camera] for view in views}
     for number, camera in cameras.items():
         _require_one_to_one(camera, f"{project.model}: camera {number}")
-    place = output.resolve()
-    prepare_folder(place.parent)
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise OutputError(f"{output}: contains other files; choose another folder, or empty it.")
-    with TemporaryDirectory(prefix=".svu-undistorted-", dir=place.parent) as name:
-        scratch, made = Path(name), Path(name) / "made"
-        made.mkdir()
-        masked = []
-        for view, file, given in zip(views, project.photographs, project.masks, strict=True):
-            mask = _read_mask(cameras[view.camera], file, given)
-            if mask is not None:
-                masked.append(replace(view, name=f"{view.name}.png"))
-                file = scratch / MASKS / masked[-1].name
-                file.parent.mkdir(parents=True, exist_ok=True)
-                Image.fromarray(mask).save(file)
-        straight = _run_pycolmap(cameras, views, project.images, scratch / "photographs")
-        (straight / IMAGES).rename(made / IMAGES)
-        (straight / "sparse").rename(made / "sparse")
-        if masked:
-            straight = _run_pycolmap(cameras, masked, scratch / MASKS, scratch / "shapes")
-            (straight / IMAGES).rename(made / MASKS)
-        made.replace(place)
-    return output
+    made, masked = scratch / "made", []
+    made.mkdir()
+    for view, file, given in zip(views, project.photographs, project.masks, strict=True):
+        mask = _read_mask(cameras[view.camera], file, given)
+        if mask is not None:
+            masked.append(replace(view, name=f"{view.name}.png"))
+            file = scratch / MASKS / masked[-1].name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(mask).save(file)
+    straight = _run_pycolmap(cameras, views, project.images, scratch / "photographs")
+    (straight / IMAGES).rename(made / IMAGES)
+    (straight / "sparse").rename(made / "sparse")
+    if masked:
+        straight = _run_pycolmap(cameras, masked, scratch / MASKS, scratch / "shapes")
+        (straight / IMAGES).rename(made / MASKS)
+    return made
 
 
 def _require_one_to_one(camera: ColmapCamera, label: str) -> None:
