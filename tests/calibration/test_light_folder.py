@@ -156,6 +156,7 @@ def test_photographs_key_ignores_light_and_material(gray_ball, tmp_path):
     assert capture_key(lit) != capture_key(gray_ball)
     brighter = [2 * image for image in gray_ball.images]
     assert photographs_key(replace(gray_ball, images=tuple(brighter))) != key
+    assert photographs_key(replace(gray_ball, exposures=(1.0,) * 11 + (2.0,))) != key
     unused = (True,) * 11 + (False,)
     left_out = replace(gray_ball, used=unused)
     assert photographs_key(left_out) != key

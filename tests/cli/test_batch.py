@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import select
 import shutil
 import signal
 import subprocess
@@ -25,6 +26,7 @@ from svu_mi import scenes
 from svu_mi.cli.batch import batch_page
 from svu_mi.cli.batch.batch_page import write_index
 from svu_mi.cli.batch.capture_list import BatchItem, read_list, require_separate
+from svu_mi.cli.batch.child_process import end_with_parent
 from svu_mi.cli.batch.runner import (
     BatchRunner,
     CommandPool,
@@ -146,7 +148,7 @@ class Made(CommandPool):
         return ProcessResult(status, "went wrong" if status > 0 else "", 5)
 
 
-def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
+def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path, monkeypatch):
     item = BatchItem("a", shelf_of("a") / "a")
     shelf = BatchRunner(output=tmp_path / "out", options={"resolution": "16"})
 
@@ -159,6 +161,9 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
     os.utime(item.capture / "view_0002.exr")
     assert steps_made(shelf, item) == list(STEPS)
     assert steps_made(shelf, BatchItem("a", item.capture, {"preset": "fast"})) == list(STEPS)
+    assert steps_made(shelf, item) == list(STEPS)
+    monkeypatch.setattr("svu_mi.cli.batch.steps.__version__", "0.0")
+    assert steps_made(shelf, item) == list(STEPS)
     (tmp_path / "out" / "a" / "batch.json").write_text('{"steps": {"entropy": 3')
     assert steps_made(shelf, item) == list(STEPS)
 
@@ -372,6 +377,25 @@ def test_reserved_capture_names_are_refused(shelf_of, tmp_path, name):
 ])  # fmt: skip
 def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
     assert last_sentence(said) == sentence
+
+
+def test_a_command_ends_with_its_killed_batch():
+    """Whether it has begun, when the kernel kills it, or not, when it ends by itself."""
+    reader, writer = os.pipe()
+    if (batch := os.fork()) == 0:
+        if os.fork() == 0:
+            signal.alarm(60)
+            end_with_parent(os.getppid())
+            os.write(writer, b"x")
+        signal.pause()
+    os.close(writer)
+    assert os.read(reader, 1) == b"x"
+    os.kill(batch, signal.SIGKILL)
+    os.waitpid(batch, 0)
+    assert select.select([reader], [], [], 30)[0] and os.read(reader, 1) == b""  # nobody writes
+    os.close(reader)
+    with pytest.raises(SystemExit):
+        end_with_parent(batch)
 
 
 def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):

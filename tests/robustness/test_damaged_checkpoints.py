@@ -66,6 +66,15 @@ def test_a_packed_file_is_refused_before_it_is_unpacked(path):
     assert path.stat().st_size < 2**21 and peak_memory(refused) < 2**22
 
 
+def test_one_array_listed_three_times_is_refused_by_its_size(path):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("losses.npy", bytes(2**16))
+        archive.filelist *= 3
+    assert path.stat().st_size < 2 * 2**16
+    with pytest.raises(OutputError, match=r"damaged .the arrays have more than 6\d{4} bytes"):
+        load(path)
+
+
 @pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
 def test_array_longer_than_its_file_is_refused(path, shape):
     liar(path, shape)

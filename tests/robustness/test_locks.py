@@ -14,6 +14,7 @@ import pytest
 from support.helpers import names
 from support.letters import contents, write
 
+from svu_mi.core.io import folder_exchange
 from svu_mi.core.io.folder_exchange import DRAFT, locked
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.errors import OutputError
@@ -45,6 +46,22 @@ def _hold(target: Path, pipe: Any) -> None:
     with locked(target):
         pipe.send("locked")
         threading.Event().wait()
+
+
+def test_a_draft_removed_before_it_is_locked_is_made_again(out, monkeypatch):
+    """Another writer ends between the two steps of a lock; a third must not get it, too."""
+    lock = folder_exchange._lock
+
+    def late(descriptor: int, target: Path) -> bool:
+        monkeypatch.undo()
+        out.with_name(f".out{DRAFT}").rmdir()
+        return lock(descriptor, target)
+
+    monkeypatch.setattr(folder_exchange, "_lock", late)
+    with locked(out) as draft:
+        assert draft.is_dir()
+        with pytest.raises(OutputError, match=OCCUPIED), locked(out):
+            pass
 
 
 def test_another_thread_is_refused(out):

@@ -77,6 +77,15 @@ def test_a_folder_with_other_files_is_refused_or_kept(tmp_path, out, spoil):
     assert names(tmp_path) == ["out", "out.before", "out.before1"]
 
 
+def test_a_link_to_equal_contents_is_not_ours(tmp_path, out):
+    write(out, "o", ("a",))
+    (out / "a").rename(tmp_path / "mine")
+    (out / "a").symlink_to(tmp_path / "mine")
+    with pytest.raises(OutputError, match="a was changed since svu recover wrote it"):
+        write(out, "n", ("a",))
+    assert (out / "a").is_symlink()
+
+
 def test_a_file_that_is_edited_during_a_run_is_kept(tmp_path, out):
     write(out, "o", ("a",))
     with pytest.warns(SvuWarning, match="kept as out.before"), claimed(out, "recover") as place:

@@ -117,6 +117,13 @@ def test_a_malformed_host_is_refused(hosts):
     assert guard.secret not in repr(guard)
 
 
+def test_one_good_origin_among_several_is_refused():
+    guard, good = Guard(), "http://127.0.0.1:8080"
+    for origins in ([good, "http://evil.example"], ["http://evil.example", good]):
+        assert not guard.allows(f"/{guard.secret}/", ["127.0.0.1:8080"], origins)
+    assert guard.allows(f"/{guard.secret}/", ["127.0.0.1:8080"], [good, good])
+
+
 def test_a_server_that_cannot_be_guarded_is_not_left_open(monkeypatch):
     """If a viser of the future starts its server in another way, ``svu view`` must say so."""
     import viser
