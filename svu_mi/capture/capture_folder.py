@@ -14,13 +14,21 @@ from svu_mi.core.io.files import is_temporary, read_json, write_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.output_folder import Draft, is_kept
 from svu_mi.core.io.provenance import RESULT, Entry, entry_of
-from svu_mi.core.validation import require_views
+from svu_mi.core.io.schema import NAMES, NUMBER, OBJECT, SIMPLE, TEXT, WHOLE, Axis, Field, checked
+from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, excerpt
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
 VERSION = 1
-MAX_BYTES = 2**26  # limit for capture.json; ten times its size with the most sensors allowed
+CAPTURE = {
+    "version": Field(WHOLE, (), VERSION, VERSION, default=VERSION),
+    "scene": Field(TEXT, default=None), "shape": Field(TEXT, default=None),
+    "define": Field(SIMPLE, (NAMES,), -LARGEST, LARGEST, default={}),
+    "exposure": Field(NUMBER, (Axis("gains", 0, MAX_VIEWS),), 1 / LARGEST, LARGEST, default=()),
+    "sensors": Field(OBJECT, (Axis("cameras", 0, MAX_VIEWS),), default=()),
+    "import": Field(OBJECT, default={}), "rendered": Field(OBJECT, default={}),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,57 +83,28 @@ def read(folder: Path) -> Description | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    if path.stat().st_size > MAX_BYTES:
-        raise CaptureError(f"{path}: too large ({path.stat().st_size} bytes, limit {MAX_BYTES}).")
     record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
-    if record.get("version", VERSION) != VERSION:
-        raise CaptureError(
-            f"{path}: version {excerpt(record['version'])} is not supported, only {VERSION}; "
-            "update svu_mi."
-        )
-    for key, (kind, inner, expected) in FIELDS.items():
-        value = record.get(key)
-        parts = value.values() if isinstance(value, dict) else value or ()
-        fits = isinstance(value, kind) and all(isinstance(part, inner) for part in parts)
-        if key in record and not fits:
-            raise CaptureError(f"{path}: {key} must be {expected}, got {excerpt(repr(value), 60)}.")
-    for name, value in record.get("define", {}).items():
-        if not isinstance(value, str) and abs(value) > LARGEST:
-            raise CaptureError(
-                f'{path}: the value of {excerpt(name)} in "define" must be at most {LARGEST:g}.'
-            )
-    require_views(len(record.get("sensors", ())), f"{path}: sensors", CaptureError)
-    scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
     try:
-        scene = None if scene is None else (folder / scene).resolve()
+        values = checked(record, CAPTURE)
+        scene = None if values["scene"] is None else (folder / values["scene"]).resolve()
         _ = scene is None or scene.is_file()
-    except (OSError, ValueError, RuntimeError) as error:  # a circular link, a name too long
+    except ValueError as error:
+        raise CaptureError(f"{path}: {error}; render or import it again.") from error
+    except (OSError, RuntimeError) as error:  # a circular link, a name too long
         raise CaptureError(f"{path}: the scene's path is invalid ({excerpt(error)}).") from error
+    written = Entry.parse(record.get(RESULT))
     return Description(
         scene=scene,
-        defines={key: str(value) for key, value in record.get("define", {}).items()},
-        shape=record.get("shape"),
-        exposures=tuple(record.get("exposure", ())),
-        sensors=tuple(record.get("sensors", ())),
-        imported=record.get("import", {}),
-        rendered=record.get("rendered", {}),
+        defines={key: str(value) for key, value in values["define"].items()},
+        shape=values["shape"],
+        exposures=tuple(values["exposure"]),
+        sensors=tuple(values["sensors"]),
+        imported=values["import"],
+        rendered=values["rendered"],
         run=written.run if written else "",
     )
-
-
-# Keys of capture.json: their type, the type of their entries, and its description in messages.
-# Other keys are ignored.
-FIELDS: dict[str, tuple[Any, Any, str]] = {
-    "scene": (str | None, object, "a path or null"),
-    "define": (dict, str | int | float, "text or numbers by name"),
-    "shape": (str | None, object, "an id or null"),
-    "exposure": (list, int | float, "a list of numbers"),
-    "sensors": (list, object, "a list"),
-    "import": (dict, object, "an object"),
-    "rendered": (dict, object, "an object"),
-}
 
 
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:

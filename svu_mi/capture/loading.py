@@ -29,7 +29,7 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
-from svu_mi.capture.sensors import LARGEST, film_size
+from svu_mi.capture.sensors import film_size
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
@@ -285,12 +285,6 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
     file = folder / capture_folder.FILE
     if given and len(given) != count:
         raise CaptureError(f"{file}: {len(given)} exposures for {count} views; give one per view.")
-    for index, gain in enumerate(given):
-        if not 1 / LARGEST <= gain <= LARGEST:  # rejects NaN, too
-            raise CaptureError(
-                f"{file}: the exposure of view {index} is {excerpt(gain, 40)}; it must be in "
-                f"[{1 / LARGEST:g}, {LARGEST:g}]."
-            )
     return [float(gain) for gain in given] or [1.0] * count
 
 

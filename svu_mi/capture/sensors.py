@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from numbers import Integral, Real
 from typing import Any
 
 import mitsuba as mi
@@ -13,6 +12,7 @@ import scipy
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
 from svu_mi.core.arrays import fibonacci
+from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
 from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
@@ -20,12 +20,16 @@ LARGEST = 1e30  # largest number in a description; below the limit of single pre
 MAX_SIDE = 2**16  # largest width or height of a film, in pixels
 MAX_PIXELS = 2**30  # per photograph; kernels index its 3 values per pixel by 32 bits
 
-SHAPES: dict[str, tuple[int, ...]] = {
-    "to_world": (4, 4), "x_fov": (), "principal_point_offset": (2,), "clip": (2,), "film": (2,),
-    "crop_offset": (2,), "crop_size": (2,),
-}  # fmt: skip
-WHOLE = ("film", "crop_offset", "crop_size")  # integers, in pixels
-KINDS = {(): "a number", (2,): "two numbers", (4, 4): "four rows of four numbers"}
+SENSOR = {
+    "to_world": Field(NUMBER, (4, 4), -LARGEST, LARGEST),
+    "x_fov": Field(NUMBER, (), 1e-6, 180 - 1e-6, "degrees"),
+    "principal_point_offset": Field(NUMBER, (2,), -LARGEST, LARGEST),
+    "clip": Field(NUMBER, (2,), 1 / LARGEST, LARGEST),
+    "film": Field(WHOLE, (2,), 1, MAX_SIDE, "pixels"),
+    "crop_offset": Field(WHOLE, (2,), 0, MAX_SIDE, "pixels"),
+    "crop_size": Field(WHOLE, (2,), 1, MAX_SIDE, "pixels"),
+}
+PIXELS = ("film", "crop_offset", "crop_size")
 
 
 def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
@@ -57,14 +61,14 @@ def describe(sensor: Any) -> dict[str, Any]:
     return {
         "to_world": to_world(sensor).tolist(), "x_fov": number("x_fov"),
         "principal_point_offset": offset, "clip": [number("near_clip"), number("far_clip")],
-        **{key: [int(n) for n in pair] for key, pair in zip(WHOLE, sizes, strict=True)},
+        **{key: [int(n) for n in pair] for key, pair in zip(PIXELS, sizes, strict=True)},
     }  # fmt: skip
 
 
 def make_sensor(record: Mapping[str, Any], label: str) -> Any:
     """Make a perspective sensor from its description; ``label`` is its id."""
     check_record(record, label)
-    (width, height), (left, top), (wide, high) = (map(int, record[key]) for key in WHOLE)
+    (width, height), (left, top), (wide, high) = (map(int, record[key]) for key in PIXELS)
     shift_x, shift_y = map(float, record["principal_point_offset"])
     near, far = map(float, record["clip"])
     film = {
@@ -252,37 +256,19 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.
 
 def check_record(record: Any, label: str) -> None:
     """Raise if a sensor description is incomplete or invalid."""
-    if not isinstance(record, Mapping):
-        raise CaptureError(f"{label}: not a JSON object with {', '.join(SHAPES)}.")
-    for key, shape in SHAPES.items():
-        if key not in record:
-            raise CaptureError(f"{label}: has no {key}; render or import the capture again.")
-        expected = f"{KINDS[shape]}, each finite and at most {LARGEST:g}"
-        _require(_has(record[key], shape, Real), label, key, expected)
-    for key in WHOLE:
-        _require(_has(record[key], (2,), Integral), label, key, "two whole numbers")
-    last = np.array(record["to_world"], np.float64)[3]
-    _require(np.allclose(last, [0, 0, 0, 1]), label, "to_world", "a pose with last row 0 0 0 1")
-    _require(0 < record["x_fov"] < 180, label, "x_fov", "between 0 and 180 degrees")
-    near, far = record["clip"]
-    _require(0 < near < far, label, "clip", "positive and in order, near and far")
-    film, offset, size = (np.array(record[key], np.float64) for key in WHOLE)
-    sides = np.concatenate([film, size])
-    small = 1 <= sides.min() <= sides.max() <= MAX_SIDE
-    _require(small, label, "film", f"1 to {MAX_SIDE} per side")
-    _require(size.prod() <= MAX_PIXELS, label, "film", f"at most {MAX_PIXELS} pixels")
-    inside = (offset >= 0).all() and (offset + size <= film).all()
-    _require(inside, label, "crop_size", "a window inside the film")
-
-
-def _require(fine: Any, label: str, key: str, expected: str) -> None:
-    if not fine:
-        raise CaptureError(f"{label}: {key} must be {expected}; render or import it again.")
-
-
-def _has(value: Any, shape: tuple[int, ...], kind: Any) -> bool:
-    """Return whether a value consists of finite numbers of a type, in lists of ``shape``."""
-    if not shape:
-        return isinstance(value, kind) and not isinstance(value, bool) and abs(value) < LARGEST
-    listed = isinstance(value, list | tuple | np.ndarray) and len(value) == shape[0]
-    return listed and all(_has(inner, shape[1:], kind) for inner in value)
+    try:
+        checked(record, SENSOR)
+        film, offset, size = (np.array(record[key], np.float64) for key in PIXELS)
+        near, far = record["clip"]
+        rules = {
+            "to_world must have the last row 0 0 0 1":
+                np.allclose(np.array(record["to_world"], np.float64)[3], [0, 0, 0, 1]),
+            "clip must be in order, near and far": near < far,
+            f"film must have at most {MAX_PIXELS} pixels": size.prod() <= MAX_PIXELS,
+            "crop_size must be a window inside the film": (offset + size <= film).all(),
+        }  # fmt: skip
+        for rule, holds in rules.items():
+            if not holds:
+                raise ValueError(rule)
+    except ValueError as error:
+        raise CaptureError(f"{label}: {error}; render or import it again.") from error

@@ -16,7 +16,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_parts
 from svu_mi.core.io.files import clear_temporaries, prepare_folder
 from svu_mi.core.io.hashes import Key
-from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays
+from svu_mi.core.io.npz import read_arrays, write_arrays
+from svu_mi.core.io.schema import Axis, Field, checked
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.evaluation.reference import Reference, TracedTables
 from svu_mi.evaluation.reference_options import ReferenceOptions
@@ -75,13 +76,14 @@ def store(path: Path, traced: TracedTables) -> None:
 
 def _require_shapes(stored: dict[str, np.ndarray], options: ReferenceOptions) -> None:
     """Raise a ValueError if the shapes do not match the options."""
+    n = Axis("texels")
     schema = {
-        "subset": Field("i", ("n",)), "brightness": Field("f", ("n",)), "unit": Field("f"),
-        "coverage": Field("i", ("n",)), "scale": Field("f"), "seconds": Field("f"),
+        "subset": Field("i", (n,)), "brightness": Field("f", (n,)), "unit": Field("f"),
+        "coverage": Field("i", (n,)), "scale": Field("f"), "seconds": Field("f"),
         "rays": Field("i"), "dropped": Field("i"),
-        "tables": Field("f", (3, "n", *options.grid.shape)),
+        "tables": Field("f", (3, n, *options.grid.shape)),
     }  # fmt: skip
     if options.noise == "estimated":
-        schema["tables"] = Field("f", (3, len(options.levels), 3, len(PAIRS), "n"))
-        schema["weight"] = Field("f", ("n",))
-    require_schema(stored, schema)
+        schema["tables"] = Field("f", (3, len(options.levels), 3, len(PAIRS), n))
+        schema["weight"] = Field("f", (n,))
+    checked(stored, schema, closed=True)

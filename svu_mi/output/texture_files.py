@@ -17,9 +17,10 @@ from svu_mi.capture.image_io import decoded, open_image
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.replace_material import is_same, is_two_sided
 from svu_mi.core.io.exr import read_exr, write_exr
-from svu_mi.core.io.files import prepare_folder, read_json
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import marks_of, mesh_of, require_one_run, require_recovery
+from svu_mi.core.io.schema import OBJECT, Field, read_record
 from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
 from svu_mi.output.maps import ENTROPY
 from svu_mi.output.run_record import RECORD
@@ -30,6 +31,7 @@ from svu_mi.recovery.svbrdf_textures import Textures
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"
 MESH = f"{ASSETS}/mesh.ply"
+SETTINGS = {"settings": Field({"used": Field(OBJECT)})}
 KINDS = (".exr", ".png")  # accepted from other programs
 
 
@@ -103,9 +105,10 @@ def object_node(
 def recovery_settings(folder: str | Path) -> dict[str, Any]:
     """Return ``Recovery.settings`` from a folder's ``run.json``; empty if it cannot be read."""
     try:
-        return dict(read_json(Path(folder) / RECORD)["settings"]["used"])
-    except (OSError, SvuError, KeyError, TypeError, ValueError):
+        record = read_record(Path(folder) / RECORD, SETTINGS, "recover it again")
+    except SvuError:
         return {}
+    return dict(record["settings"]["used"])
 
 
 def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:

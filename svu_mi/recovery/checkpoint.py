@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.core.io.npz import LARGEST, Field, read_arrays, require_schema, write_arrays
+from svu_mi.core.io.npz import read_arrays, write_arrays
+from svu_mi.core.io.schema import LARGEST, TEXT, WHOLE, Field, checked
 from svu_mi.errors import OptionError, OutputError, excerpt
 
 FORMAT = 5  # incremented when older checkpoints would give other results
@@ -26,7 +27,8 @@ LOWEST = -LARGEST  # lower limit of finite numbers
 GROUPS = ("values", "first", "second")  # attributes of a state with one array per parameter
 # Arrays of every checkpoint.
 HEAD = {
-    "format": Field("iu"), "settings": Field("U"), "content": Field("U"), "step": Field("iu", low=0)
+    "format": Field(WHOLE), "settings": Field(TEXT), "content": Field(TEXT),
+    "step": Field(WHOLE, low=0, high=2**31),
 }  # fmt: skip
 
 
@@ -115,8 +117,7 @@ class Checkpoint:
             return None
         try:
             stored = read_arrays(self.path)
-            require_schema({name: stored[name] for name in HEAD if name in stored}, HEAD)
-            self._require_same(stored)
+            self._require_same(checked(stored, HEAD))
             return _state(stored, shapes)
         except (ValueError, RecursionError) as error:
             raise OutputError(
@@ -162,7 +163,7 @@ def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...
             f"first/{name}": Field("f4", size, LOWEST),
             f"second/{name}": Field("f4", size, low=0),
         }  # fmt: skip
-    require_schema(stored, schema)
+    checked(stored, schema, closed=True)
     groups = {g: {name: stored[f"{g}/{name}"] for name in shapes} for g in GROUPS}
     return DescentState(step=int(stored["step"]), losses=stored["losses"], **groups)
 

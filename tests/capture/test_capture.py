@@ -14,10 +14,9 @@ from PIL import Image
 from support.helpers import ball, fails, names, run, sensor_xml, write_scene
 
 from svu_mi.capture import rendering
-from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_image
 from svu_mi.capture.load_warnings import unsupported
-from svu_mi.capture.loading import load_capture, plan_photographs
+from svu_mi.capture.loading import load_capture
 from svu_mi.capture.match_photographs import NoPhotographsError
 from svu_mi.capture.mesh import arrays, make_mesh
 from svu_mi.capture.rendering import render_capture
@@ -110,12 +109,8 @@ def test_exposure_is_divided_out(scene):
 
 @pytest.mark.parametrize("gain", [0.0, -1.0, float("nan"), 1e-40, 10**400])
 def test_the_first_exposure_out_of_range_is_named(scene, gain):
-    """Whether a file says it or Python."""
     folder, gains = scene.parent / "images", [1, gain, 0]
-    message = rf"capture.json: the exposure of view 1 is {str(gain)[:40]}.*; it must be in \[1e-30"
-    live = mi.load_file(str(scene), optimize=False)
-    with pytest.raises(CaptureError, match=message):
-        plan_photographs(live, live.sensors(), folder, Description(exposures=gains))
+    message = rf"exposure\[1\] must be a number in \[1e-30, 1e\+30\], got {str(gain)[:40]}"
     (folder / "capture.json").write_text(json.dumps({"format": "svu-capture", "exposure": gains}))
     with pytest.raises(CaptureError, match=message):
         load_capture(scene)

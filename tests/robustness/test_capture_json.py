@@ -79,7 +79,7 @@ def test_a_field_that_is_missing_is_named(capture, key):
     record = json.loads(path.read_text())
     del record["sensors"][1][key]
     path.write_text(json.dumps(record))
-    with pytest.raises(CaptureError, match=rf"capture.json: sensor 1: has no {key}; render"):
+    with pytest.raises(CaptureError, match=rf"capture.json: sensor 1: {key} is missing; render"):
         load_capture(capture)
 
 
@@ -102,7 +102,9 @@ def test_more_sensors_than_the_limit_are_refused_at_once(capture):
     started = time.process_time()
     json.loads(text)  # nothing is done but this, about twice as slow beside other work
     parsed = time.process_time()
-    with pytest.raises(CaptureError, match="sensors: at most 10000"):
+    with pytest.raises(
+        CaptureError, match="sensors must be objects for 0 to 10000 cameras, got a list of"
+    ):
         load_capture(capture)
     assert time.process_time() - parsed < 4 * (parsed - started) + 0.5
 
@@ -121,7 +123,7 @@ def test_too_large_capture_json_is_not_read(capture):
     path = capture / "capture.json"
     with path.open("r+b") as stream:
         stream.truncate(2**27)
-    with pytest.raises(CaptureError, match="too large .134217728 bytes"):
+    with pytest.raises(CaptureError, match=r"\(it has more than 64 MiB\)"):
         load_capture(capture)
 
 

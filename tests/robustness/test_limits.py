@@ -33,7 +33,10 @@ SECONDS = 8  # a refusal, on a busy machine
 VASE = scenes.path("vase")
 ABSURD = [
     (("render", VASE, "--views", 10**9), r"--views: at most 10000 are supported, got 10+; use"),
-    (("render", VASE, "--views", 1, "--resolution", 10**6), "film must be 1 to 65536 per side"),
+    (
+        ("render", VASE, "--views", 1, "--resolution", 10**6),
+        "film must be 2 whole numbers in \[1, 65536\]",
+    ),
     (("render", VASE, "--spp", 10**9), "spp must be at most 65535|spp must be at most 16383"),
     (("render", VASE, "--spp", 10**12), r"--spp must be at least 1 and below 2\^32, got 10+\."),
     (("guide", "SHOT", "--candidates", 10**9), "--candidates: at most 10000 are supported"),
@@ -253,7 +256,9 @@ def test_too_many_poses_are_refused_before_the_first_is_used(tmp_path, kind):
     for name, data in POSES[kind].items():
         (tmp_path / name).write_bytes(data)
     start = time.process_time()
-    with pytest.raises(CaptureError, match=r"at most (1|2)0000 .* got (10001|20002); "):
+    with pytest.raises(
+        CaptureError, match=r"(at most [12]0000|1 to 10000) .* got .*(10001|20002)\b.*; "
+    ):
         read_source(tmp_path)
     assert time.process_time() - start < 2
 

@@ -16,30 +16,31 @@ from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import write_json
 from svu_mi.core.io.folder_exchange import restore
-from svu_mi.core.io.npz import Field, read_arrays, require_schema, write_arrays
+from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.core.io.output_folder import Draft, writing
 from svu_mi.core.io.provenance import LIGHT, LIGHT_RECORD, entry_of, require_one_run
+from svu_mi.core.io.schema import TEXT, Axis, Field, checked
+from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError
 
 COMMAND, RECORD = LIGHT, LIGHT_RECORD
 MAP, ARRAYS = "light.exr", "light.npz"
-FEWEST_CELLS, MOST_CELLS, MOST_DRAWS = 64, 4096, 256  # limits for untrusted files
 HIGHEST = 60.0  # maximum log radiance in single precision
 REAL = "fiub"
-# N cells, K draws.
+CELLS, DRAWS = Axis("cells", 64, 4096), Axis("draws", 1, 256)
 LIGHT_ARRAYS = {
-    "run": Field("U"), "remarks": Field("U", ("R",)),
-    "logarithm": Field(REAL, ("N", 3), -HIGHEST, HIGHEST),
-    "cell_sd": Field(REAL, ("N",), 0, HIGHEST),
-    "draws": Field(REAL, ("K", "N", 3), -HIGHEST, HIGHEST),
+    "run": Field(TEXT), "remarks": Field(TEXT, (Axis("remarks"),)),
+    "logarithm": Field(REAL, (CELLS, 3), -HIGHEST, HIGHEST),
+    "cell_sd": Field(REAL, (CELLS,), 0, HIGHEST),
+    "draws": Field(REAL, (DRAWS, CELLS, 3), -HIGHEST, HIGHEST),
     "scale_sd": Field(REAL, (3,), 0, HIGHEST), "moves": Field(REAL, (), 0, 1),
     "misfit": Field(REAL, (2,), 0, 1e12), "widening": Field(REAL, (), 1, 1e5),
     "texels": Field(REAL, (), 0, 2**31),
 }  # fmt: skip
-# Gains of V photographs, optional.
-GAIN_ARRAYS = {
-    "gains": Field(REAL, ("V", 3), -HIGHEST, HIGHEST), "gains_noise": Field(REAL, ("V",), 0, 1e12),
-    "gains_odd": Field(REAL, ("V",), 0, 1),
+VIEWS = Axis("photographs", 1, MAX_VIEWS)
+GAIN_ARRAYS = {  # optional
+    "gains": Field(REAL, (VIEWS, 3), -HIGHEST, HIGHEST),
+    "gains_noise": Field(REAL, (VIEWS,), 0, 1e12), "gains_odd": Field(REAL, (VIEWS,), 0, 1),
 }  # fmt: skip
 
 
@@ -169,13 +170,7 @@ def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
     """
     has_gains = not GAIN_ARRAYS.keys().isdisjoint(arrays)
     known = {"misfit": np.nan_to_num(arrays["misfit"])} if "misfit" in arrays else {}
-    require_schema(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}))
-    draws, cells, _ = arrays["draws"].shape
-    if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
-        raise ValueError(
-            f"{cells} cells and {draws} draws; {FEWEST_CELLS} to {MOST_CELLS} cells and 1 to "
-            f"{MOST_DRAWS} draws are possible"
-        )
+    checked(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}), closed=True)
     if np.isnan(arrays["misfit"][int(arrays["moves"])]):
         raise ValueError("the misfit of the chosen light is NaN")
     names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")

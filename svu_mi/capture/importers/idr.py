@@ -15,7 +15,7 @@ ray of pixel (0, 0) through the point (0, 0), the centre of the first pixel, as 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Sourc
 from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_arrays
+from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, OptionError
 
@@ -38,6 +39,7 @@ IMAGES, MASKS = ("image", "images"), ("mask", "masks")
 WORLD, SCALE = "world_mat", "scale_mat"
 NUMBERED = re.compile(rf"(?:{WORLD}|{SCALE})_(?:0|[1-9][0-9]{{0,5}})", re.ASCII)
 LARGEST_FILE = 2**26  # bytes: 100 000 cameras and their inverses
+MATRIX = Field(NUMBER, (4, 4), -LARGEST, LARGEST)
 SKEW = 1e-3  # largest ignored skew, relative to the focal length
 SINGULAR = 1e-12  # smallest singular value of a camera, relative to its largest
 SAME = 1e-4  # relative tolerance of the equality of unit spheres
@@ -80,13 +82,21 @@ def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
     """Return all ``world_mat``, and the common ``scale_mat`` or None."""
     try:
         arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE, 2 * MAX_VIEWS)
+        kinds = (WORLD, SCALE) if any(name.startswith(SCALE) for name in arrays) else (WORLD,)
+        count = max(sum(name.startswith(WORLD) for name in arrays), 1)
+        checked(arrays, {f"{kind}_{k}": MATRIX for kind in kinds for k in range(count)})
+        for name, matrix in arrays.items():
+            if not np.allclose(matrix[3], [0, 0, 0, 1]):
+                raise ValueError(f"the last row of {name} must be 0 0 0 1")
     except ValueError as error:
-        raise CaptureError(f"{file}: {error}; write the cameras again.") from error
-    count = max(sum(name.startswith(WORLD) for name in arrays), 1)
-    worlds = [_matrix(arrays, f"{WORLD}_{k}", file) for k in range(count)]
-    if not any(name.startswith(SCALE) for name in arrays):
+        raise CaptureError(
+            f"{file}: {error}; write the cameras again, with {WORLD}_0, {WORLD}_1, ... and all or "
+            f"none of {SCALE}_0, {SCALE}_1, ...."
+        ) from error
+    worlds = [arrays[f"{WORLD}_{k}"] for k in range(count)]
+    if SCALE not in kinds:
         return worlds, None
-    spheres = [_matrix(arrays, f"{SCALE}_{k}", file) for k in range(count)]
+    spheres = [arrays[f"{SCALE}_{k}"] for k in range(count)]
     sphere = spheres[0]
     size = np.cbrt(max(np.linalg.det(sphere[:3, :3]), 0.0))
     if not 0 < size < LARGEST or not np.allclose(
@@ -103,22 +113,6 @@ def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
                 "same unit sphere; normalize the cameras again."
             )
     return worlds, sphere
-
-
-def _matrix(arrays: Mapping[str, np.ndarray], name: str, file: Path) -> np.ndarray:
-    matrix = arrays.get(name)
-    if matrix is None:
-        raise CaptureError(
-            f"{file}: has no {name}; IDR needs {WORLD}_0, {WORLD}_1, ... without a gap, and either "
-            f"all or none of {SCALE}_0, ...: write the cameras again."
-        )
-    if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
-        raise CaptureError(f"{file}: {name} is not a finite 4 x 4 matrix; write the cameras again.")
-    if not np.allclose(matrix[3], [0, 0, 0, 1]):
-        raise CaptureError(
-            f"{file}: the last row of {name} must be 0 0 0 1; write the cameras again, row by row."
-        )
-    return matrix
 
 
 def _frame(matrix: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:

@@ -18,7 +18,8 @@ from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Sou
 from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_array
-from svu_mi.core.validation import require_views
+from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
+from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 FILE, SUFFIX = "poses_bounds.npy", ".npy"
 IMAGES, MASKS = ("images",), ("masks", "mask")
 COLUMNS = 17  # of the table: a 3 x 5 matrix and two distances
+POSES = Field(NUMBER, (Axis("photographs", 1, MAX_VIEWS), COLUMNS))
 LARGEST_FILE = 2**24  # bytes: ten times the poses of the most photographs
 
 
@@ -72,21 +74,10 @@ def read(path: Path, options: ReadOptions) -> Source:
 def _rows(file: Path) -> np.ndarray:
     """Return the table (N, 17)."""
     try:
-        rows = read_foreign_array(file, LARGEST_FILE)
+        table = {"poses": read_foreign_array(file, LARGEST_FILE)}
+        return np.asarray(checked(table, {"poses": POSES})["poses"])
     except ValueError as error:
-        raise CaptureError(
-            f"{file}: {error}; export the poses again, as a table of {COLUMNS} numbers for each "
-            "photograph."
-        ) from error
-    if rows.ndim != 2 or rows.shape[1] != COLUMNS or not len(rows):
-        sides = " x ".join(map(str, rows.shape))
-        content = f"a table of {sides} numbers" if rows.ndim else "a number"
-        raise CaptureError(
-            f"{file}: holds {content}; poses of LLFF have {COLUMNS} numbers for each photograph: "
-            "export them again."
-        )
-    require_views(len(rows), f"{file}: poses", CaptureError)
-    return rows
+        raise CaptureError(f"{file}: {error}; export them again.") from error
 
 
 def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:

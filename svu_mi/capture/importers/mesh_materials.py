@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -21,6 +21,7 @@ from trimesh.visual.material import empty_material
 from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.core.io.files import replacing
+from svu_mi.core.io.schema import ITEMS, WHOLE, Field, checked
 from svu_mi.errors import MeshError, excerpt
 
 MAX_PIXELS = 2**26  # 8192 x 8192
@@ -49,7 +50,17 @@ IGNORED_GLTF = {
     "emissiveTexture": "emission", "alphaMode": "transparency",
 }  # fmt: skip
 DEEPEST = 500  # nested nodes, as in scenes; trimesh's time grows with the square
-OFFSETS = ("byteOffset", "byteLength", "byteStride", "count")
+BYTES = Field(WHOLE, (), 0, 2**40, "bytes", 0)
+INDICES = Field(WHOLE, (ITEMS,), 0, 2**31, default=())
+HEADER = {
+    "accessors": Field(
+        {"byteOffset": BYTES, "count": BYTES._replace(unit="")}, (ITEMS,), default=()
+    ),
+    "bufferViews": Field({"byteOffset": BYTES, "byteLength": BYTES}, (ITEMS,), default=()),
+    "nodes": Field({"children": INDICES}, (ITEMS,), default=()),
+    "scenes": Field({"nodes": INDICES}, (ITEMS,), default=({"nodes": ()},)),
+    "scene": Field(WHOLE, (), 0, 2**31, default=0),
+}
 MODEL = "KHR_materials_"  # prefix of extensions of the reflection model
 
 
@@ -140,8 +151,10 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
         if name in record.get("extensionsRequired", ()):
             raise MeshError(f"{path}: is compressed ({name}); export it without compression.")
     held = _file_bytes(path, record)
-    _refuse_bombs(path, record, held)
-    _refuse_nesting(path, record)
+    known = checked(record, HEADER)
+    _refuse_bombs(path, record, [accessor["count"] for accessor in known["accessors"]], held)
+    _refuse_nesting(path, [node["children"] for node in known["nodes"]],
+                    known["scenes"][known["scene"]]["nodes"])  # fmt: skip
     attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
     accessors = record.get("accessors", ())
     for primitive in _primitives(record):
@@ -199,24 +212,19 @@ def _file_bytes(path: Path, record: Mapping[str, Any]) -> int:
     return sum(file.stat().st_size for file in files if file.is_file())
 
 
-def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
-    counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
+def _refuse_bombs(path: Path, record: Mapping[str, Any], counts: list[int], held: int) -> None:
     used = [counts[index] for p in _primitives(record) for index in p["attributes"].values()]
-    places = [*record.get("accessors", ()), *record.get("bufferViews", ())]
-    lowest = min((place.get(key, 0) for place in places for key in OFFSETS), default=0)
-    if lowest < 0 or max(sum(counts), sum(used)) > max(FREE, held):
+    if max(sum(counts), sum(used)) > max(FREE, held):
         raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
 
 
-def _refuse_nesting(path: Path, record: Mapping[str, Any]) -> None:
-    """Raise unless the nodes of the scene are trees, of limited depth."""
-    nodes, scenes = record.get("nodes", ()), record.get("scenes", ())
-    level = list(scenes[record.get("scene", 0)].get("nodes", ())) if scenes else []
-    linked = level + [child for node in nodes for child in node.get("children", ())]
-    if len(set(linked)) < len(linked) or min(linked, default=0) < 0:
+def _refuse_nesting(path: Path, children: Sequence[list[int]], level: list[int]) -> None:
+    """Raise unless the nodes below ``level`` are trees, of limited depth."""
+    linked = [*level, *(child for node in children for child in node)]
+    if len(set(linked)) < len(linked):
         raise MeshError(f"{path}: a node has two parents; export it again.")
     for _ in range(DEEPEST):
-        level = [child for index in level for child in nodes[index].get("children", ())]
+        level = [child for index in level for child in children[index]]
     if level:
         raise MeshError(
             f"{path}: nodes are nested more than {DEEPEST} deep; export it with fewer levels."

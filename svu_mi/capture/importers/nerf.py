@@ -16,11 +16,12 @@ import numpy as np
 
 from svu_mi.capture.image_io import SUFFIXES, open_image
 from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
-from svu_mi.capture.importers.source import OPENGL, Frame, Source
+from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENGL, Frame, Source
 from svu_mi.capture.importers.source_files import relative_name, safe_path
 from svu_mi.core.io.files import read_json, write_json
-from svu_mi.core.validation import require_views
-from svu_mi.errors import CaptureError, OptionError, excerpt
+from svu_mi.core.io.schema import FLAG, ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
+from svu_mi.core.validation import MAX_VIEWS
+from svu_mi.errors import CaptureError, OptionError
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
@@ -28,6 +29,24 @@ if TYPE_CHECKING:
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # usual parts of a data set
 UNSUPPORTED = ("k5", "k6")  # coefficients that the lens model lacks
+COORDINATE = Field(NUMBER, (), -LARGEST, LARGEST, "pixels", None)
+LENGTH = Field(NUMBER, (), 1 / LARGEST, LARGEST, "pixels", None)
+ANGLE = Field(NUMBER, (), 1e-6, math.pi - 1e-6, "radians", None)
+SIDE = Field(NUMBER, (), 1, MAX_SIDE, "pixels", None)
+MATRIX = Field(NUMBER, (Axis("rows", 3, 4), 4), -LARGEST, LARGEST)
+FRAME = {
+    "transform_matrix": MATRIX, "w": SIDE, "h": SIDE, "cx": COORDINATE, "cy": COORDINATE,
+    "fl_x": LENGTH, "fl_y": LENGTH, "camera_angle_x": ANGLE, "camera_angle_y": ANGLE,
+    "file_path": Field(TEXT, default=None), "mask_path": Field(TEXT, default=None),
+    "exposure": Field(NUMBER, (), 1 / LARGEST, LARGEST, default=1.0),
+    "camera_model": Field(TEXT, default=""), "is_fisheye": Field(FLAG, default=False),
+    "distortion_params": Field(NUMBER, (ITEMS,), -LARGEST, LARGEST, default=()),
+    **dict.fromkeys((*COEFFICIENTS, *UNSUPPORTED), COORDINATE._replace(unit="", default=0)),
+}  # fmt: skip
+TRANSFORMS = {
+    "frames": Field(OBJECT, (Axis("photographs", 1, MAX_VIEWS),)),
+    "applied_transform": MATRIX._replace(default=np.eye(4)),
+}
 NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # model names
 
 
@@ -69,11 +88,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
             the photogrammetry tool.
     """
     path = Path(path)
-    record, frames = read_poses(path)
-    try:
-        applied = _matrix(record.get("applied_transform", np.eye(4)))
-    except (TypeError, ValueError) as error:
-        raise CaptureError(f"{path}: applied_transform must be 3 x 4 numbers.") from error
+    record, frames, applied = read_poses(path)
     before = np.linalg.inv(applied) if original_world else np.eye(4)
     usual = _default_size(path, record, frames)
     notes = [] if original_world or np.allclose(applied, np.eye(4)) else [
@@ -92,14 +107,14 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     )
 
 
-def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """Return the JSON object of a file and its frames; raise CaptureError without frames."""
+def read_poses(path: Path) -> tuple[dict[str, Any], list[Any], np.ndarray]:
+    """Return the JSON object of a file, its frames, and its ``applied_transform`` (4, 4)."""
     record = read_json(path)
-    frames = record.get("frames") if isinstance(record, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')
-    require_views(len(frames), f"{path}: frames", CaptureError)
-    return record, frames
+    try:
+        known = checked(record, TRANSFORMS)
+    except ValueError as error:
+        raise CaptureError(f"{path}: no poses: {error}; export them again.") from error
+    return record, known["frames"], _matrix(known["applied_transform"])
 
 
 def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
@@ -127,15 +142,12 @@ def _record(frame: Frame, root: Path) -> dict[str, Any]:
 
 
 def _matrix(value: Any) -> np.ndarray:
-    matrix = np.array(value, np.float64)
-    if matrix.shape not in ((4, 4), (3, 4)):
-        raise ValueError(f"transform_matrix of shape {matrix.shape}")
-    return np.vstack([matrix[:3], [0, 0, 0, 1]])
+    return np.vstack([np.array(value, np.float64)[:3], [0, 0, 0, 1]])
 
 
 def parse_frame(
-    record: Mapping[str, Any], given: Any, root: Path, label: str, before: np.ndarray,
-    usual: tuple[int, int] | None = None,
+    record: Mapping[str, Any], given: Mapping[str, Any], root: Path, label: str,
+    before: np.ndarray, usual: tuple[int, int] | None = None,
 ) -> Frame:  # fmt: skip
     """Read one frame, ``given``, with the common values of ``record``.
 
@@ -143,62 +155,54 @@ def parse_frame(
     ``usual`` is the size of a missing photograph.
     """
     try:
-        known = {**record, **given}
-        matrix = _matrix(known["transform_matrix"])
-        image = _image_path(root, known.get("file_path"), label)
-        masked = known.get("mask_path")
+        known = checked({**record, **given}, FRAME)
+        image = _image_path(root, known["file_path"], label)
         size = width, height = _size(known, image, usual)
-        fl_x = _focal(known, "x", width, label)
-        fl_y = _focal(known, "y", height, label, fl_x)
-        with np.errstate(all="ignore"):  # the frame refuses infinite values
-            return Frame(
-                label=label,
-                image=image,
-                mask=None if masked is None else safe_path(root, masked, label),
-                to_world=before @ matrix @ OPENGL,
-                focal=(fl_x, fl_y),
-                center=(float(known.get("cx", width / 2)), float(known.get("cy", height / 2))),
-                size=size,
-                exposure=float(known.get("exposure", 1.0)),
-                lens=_lens(known, label),
-            )
-    except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
+        fl_x, fl_y = _focal(known, "x", width), _focal(known, "y", height)
+        if fl_x is None:
+            raise ValueError("fl_x and camera_angle_x are missing")
+    except ValueError as error:
         raise CaptureError(
-            f"{label}: {excerpt(repr(error))}; a frame needs transform_matrix, w, h, and fl_x or "
-            "camera_angle_x."
+            f"{label}: {error}; a frame needs transform_matrix, w, h, and fl_x or camera_angle_x."
         ) from error
+    cx, cy, masked = known["cx"], known["cy"], known["mask_path"]
+    with np.errstate(all="ignore"):  # the frame refuses infinite values
+        return Frame(
+            label=label,
+            image=image,
+            mask=None if masked is None else safe_path(root, masked, label),
+            to_world=before @ _matrix(known["transform_matrix"]) @ OPENGL,
+            focal=(fl_x, fl_x if fl_y is None else fl_y),
+            center=(width / 2 if cx is None else cx, height / 2 if cy is None else cy),
+            size=size,
+            exposure=known["exposure"],
+            lens=_lens(known, label),
+        )
 
 
 def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
     """Return the lens, or None without distortion; raise CaptureError for other cameras."""
-    model = str(known.get("camera_model", "")).upper()
-    if any(name in model for name in NOT_PINHOLE) or known.get("is_fisheye"):
+    model, listed = known["camera_model"].upper(), known["distortion_params"]
+    if any(name in model for name in NOT_PINHOLE) or known["is_fisheye"]:
         raise CaptureError(
             f"{label}: {model.lower()[:40] or 'a fisheye'} is not a pinhole camera; undistort the "
             "photographs first."
         )
-    numbers = [float(known.get(key) or 0) for key in COEFFICIENTS]
-    listed = known.get("distortion_params")
-    if listed and any(map(float, listed)):
-        if len(listed) != len(COEFFICIENTS):
-            raise CaptureError(
-                f"{label}: distortion_params must be the {len(COEFFICIENTS)} numbers "
-                f"{', '.join(COEFFICIENTS)}, got {len(listed)}; give each by its own name."
-            )
-        numbers = [float(number) for number in listed]
-    if not np.isfinite(numbers).all() or any(known.get(key) for key in UNSUPPORTED):
+    if any(listed) and len(listed) != len(COEFFICIENTS) or any(known[key] for key in UNSUPPORTED):
         raise CaptureError(
-            f"{label}: lens coefficients must be finite, and only {', '.join(COEFFICIENTS)} are "
-            "supported; undistort the photographs first."
+            f"{label}: lens coefficients must be {', '.join(COEFFICIENTS)}, or all "
+            f"{len(COEFFICIENTS)} as distortion_params; undistort the photographs first."
         )
-    if not any(numbers):
-        return None
-    return Lens(**dict(zip(COEFFICIENTS, numbers, strict=True)))
+    numbers = listed if any(listed) else [known[key] for key in COEFFICIENTS]
+    return Lens(**dict(zip(COEFFICIENTS, numbers, strict=True))) if any(numbers) else None
 
 
 def _size(known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None) -> tuple[int, int]:
-    if _has_size(known) or known.get("file_path") is None:
-        return int(known["w"]), int(known["h"])
+    sides = known["w"], known["h"]
+    if None not in sides:
+        return int(sides[0]), int(sides[1])
+    if sides != (None, None) or known["file_path"] is None:
+        raise ValueError("w or h is missing")
     return usual if usual is not None and not image.is_file() else open_image(image).size
 
 
@@ -212,7 +216,7 @@ def _default_size(
     """Return the size of the first photograph that exists, for frames without a size."""
     named = {
         k: frame["file_path"] for k, frame in enumerate(frames)
-        if isinstance(frame, dict) and "file_path" in frame and not _has_size(frame)
+        if "file_path" in frame and not _has_size(frame)
     }  # fmt: skip
     if _has_size(record) or not named:
         return None
@@ -227,18 +231,11 @@ def _default_size(
     )
 
 
-def _focal(
-    known: Mapping[str, Any], axis: str, side: int, label: str, default: float | None = None
-) -> float:
+def _focal(known: Mapping[str, Any], axis: str, side: int) -> float | None:
     """Return the focal length along an axis in pixels, given directly or as an opening angle."""
-    key = f"camera_angle_{axis}"
-    if f"fl_{axis}" in known:
-        return float(known[f"fl_{axis}"])
-    if default is not None and key not in known:
-        return default
-    angle = float(known[key])
-    if not 0 < angle < math.pi:  # NaN fails, too
-        raise CaptureError(f"{label}: {key} must be in (0, pi) radians, got {angle:g}; correct it.")
+    length, angle = known[f"fl_{axis}"], known[f"camera_angle_{axis}"]
+    if length is not None or angle is None:
+        return length
     return side / 2 / math.tan(angle / 2)
 
 

@@ -20,7 +20,8 @@ from svu_mi.capture.importers.import_options import Light as Light
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, film_size, focal_length, make_sensor, principal_point
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
+from svu_mi.errors import CaptureError
 
 # Conversion of the columns of a camera-to-world rotation to Mitsuba's camera axes: +X left, +Y
 # up, +Z forward. Each matrix is its own inverse.
@@ -29,11 +30,17 @@ OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMA
 # +X down, +Y right, +Z backwards: LLFF
 DOWN_RIGHT_BACK = np.array([[0.0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 
+LARGEST = 1e30  # limit of numbers in a pose, so that products of three are finite
 MAX_DISTANCE = 1e9  # units; single precision has no details beyond
 MAX_SIDE = 2**16  # pixels; larger values come from damaged files
-FOCAL = 1e-3, 1e6  # range of the focal length, relative to the longer side
-CENTER = 1e3  # limit of the principal point, relative to the sides
-LARGEST = 1e30  # limit of numbers in a pose, so that products of three are finite
+CAMERA = {
+    "size": Field(WHOLE, (2,), 1, MAX_SIDE, "pixels"),
+    "exposure": Field(NUMBER, (), 1 / LARGEST, LARGEST),
+}
+LENS = {
+    "focal length": Field(NUMBER, (2,), 1e-3, 1e6, "times the longer side"),
+    "principal point": Field(NUMBER, (2,), -1e3, 1e3, "times width and height"),
+}
 RIGID = 1e-3  # tolerance of the orthogonality and equal length of the axes of a pose
 SQUARE = 1e-6  # tolerance of the ratio of focal lengths of square pixels
 NEAR, FAR = 1e-4, 1e7  # default clip planes; files contain neither planes nor size of the scene
@@ -74,28 +81,15 @@ class Frame:
     def __post_init__(self) -> None:
         """Raise CaptureError if numbers are out of range or the pose is not rigid."""
         object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
-        width, height = self.size
-        if not all(1 <= side <= MAX_SIDE for side in self.size):
-            raise CaptureError(
-                f"{self.label}: a photograph of {excerpt(width, 20)} x {excerpt(height, 20)} "
-                f"pixels; both must be 1 to {MAX_SIDE}: correct width and height of the camera."
-            )
-        low, high = (limit * max(self.size) for limit in FOCAL)
-        if not all(low < length < high for length in self.focal):  # NaN fails, too
-            raise CaptureError(
-                f"{self.label}: the focal length is {self.focal[0]:g}, {self.focal[1]:g} pixels; "
-                f"it must be {low:g} to {high:g} for {width} x {height} pixels: give it in pixels."
-            )
-        if not all(abs(c) <= CENTER * n for c, n in zip(self.center, self.size, strict=True)):
-            raise CaptureError(
-                f"{self.label}: the principal point is {self.center[0]:g}, {self.center[1]:g}; it "
-                f"must be within {CENTER:g} times {width} x {height} pixels: give it in pixels."
-            )
-        if not 0 < self.exposure < np.inf:
-            raise CaptureError(
-                f"{self.label}: the exposure must be positive, got {self.exposure:g}; give the "
-                "factor that radiance was multiplied by."
-            )
+        try:
+            checked({"size": self.size, "exposure": self.exposure}, CAMERA)
+            relative = {
+                "focal length": [length / max(self.size) for length in self.focal],
+                "principal point": [c / n for c, n in zip(self.center, self.size, strict=True)],
+            }
+            checked(relative, LENS)
+        except ValueError as error:
+            raise CaptureError(f"{self.label}: {error}; correct it there.") from error
 
     @property
     def has_square_pixels(self) -> bool:

@@ -123,7 +123,7 @@ def read_views(path: str | Path, split: Split) -> tuple[OrbView, ...]:
             f"{path}: not a capture of Stanford-ORB; give DATA/blender_HDR/CAPTURE or "
             "DATA/blender_LDR/CAPTURE."
         )
-    record, frames = read_poses(path / _file(split))
+    record, frames, _ = read_poses(path / _file(split))
     return tuple(
         _view(path, record, frame, f"{path / _file(split)}: frame {index}")
         for index, frame in enumerate(frames)
@@ -136,11 +136,10 @@ def _file(split: Split) -> str:
 
 def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView:
     root, kind = path.parent.parent, path.parent.name
-    known = given if isinstance(given, dict) else {}
-    capture = safe_path(path.parent, known.get("scene_name", path.name), label)
+    capture = safe_path(path.parent, given.get("scene_name", path.name), label)
     if capture.parent != path.parent:
         raise CaptureError(f"{label}: scene_name must be the name of a capture.")
-    name = known.get("file_path")
+    name = given.get("file_path")
     if not isinstance(name, str):
         raise CaptureError(f"{label}: file_path must be text.")
     image = safe_path(capture, name + SUFFIXES[kind], label)
@@ -149,7 +148,7 @@ def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView
     files = {"file_path": image.relative_to(root).as_posix(), "w": width, "h": height}
     if mask.is_file():
         files["mask_path"] = mask.relative_to(root).as_posix()
-    frame = parse_frame(record, {**known, **files}, root, label, np.eye(4))
+    frame = parse_frame(record, {**given, **files}, root, label, np.eye(4))
     environment = root / TRUTH / capture.name / ENVIRONMENTS / f"{image.stem}.exr"
     albedo = root / TRUTH / capture.name / ALBEDO / f"{image.stem}.png"
     light = Light(path=environment, to_world=frame.to_world[:3, :3])

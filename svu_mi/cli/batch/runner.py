@@ -23,17 +23,24 @@ from svu_mi.cli.batch.capture_list import PATHS, BatchItem
 from svu_mi.cli.batch.steps import (
     STEPS,
     command_words,
-    in_range,
     inputs_key,
     read_done,
     step_key,
     write_done,
 )
-from svu_mi.core.io.files import prepare_folder, read_json
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.folder_exchange import locked
+from svu_mi.core.io.schema import NUMBER, Field, read_record
 from svu_mi.core.memory import free_memory
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
+PART = Field(NUMBER, (), 0, 1)
+ENTROPY = {
+    "result": Field({
+        "intervals": Field({"seen_part": PART, "all_known_part": PART}),
+        "mean_entropy_of_seen": PART,
+    })
+}  # fmt: skip
 TRIES = 3  # if a command is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which also reaches the commands
 KILOBYTE = 1024
@@ -329,12 +336,11 @@ def _wait_for(process: subprocess.Popen[bytes]) -> tuple[int, int]:
 def _figures_of(folder: Path) -> dict[str, float]:
     """Read the figures of ``svu entropy``; an empty dictionary if missing."""
     try:
-        result = read_json(folder / "entropy" / "run.json")["result"]
-        intervals = result["intervals"]
-        values = {
-            "seen": intervals["seen_part"], "entropy": result["mean_entropy_of_seen"],
-            "known": intervals["all_known_part"],
-        }  # fmt: skip
-        return {name: in_range(value, 1.0) for name, value in values.items()}
-    except (OSError, SvuError, ValueError, TypeError, KeyError):
+        result = read_record(folder / "entropy" / "run.json", ENTROPY, "compute it again")["result"]
+    except SvuError:
         return {}
+    intervals = result["intervals"]
+    return {
+        "seen": intervals["seen_part"], "entropy": result["mean_entropy_of_seen"],
+        "known": intervals["all_known_part"],
+    }  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,13 +11,19 @@ from typing import Any
 from svu_mi import __version__
 from svu_mi.capture.capture_folder import FILE, read, stamps
 from svu_mi.cli.batch.capture_list import OPTIONS, BatchItem, capture_paths, real_path
-from svu_mi.core.io.files import read_json, write_json
+from svu_mi.core.io.files import write_json
 from svu_mi.core.io.folder_exchange import DRAFT
 from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.output_folder import CHECKPOINT
+from svu_mi.core.io.schema import NAMES, NUMBER, TEXT, WHOLE, Field, read_record
 from svu_mi.errors import SvuError
 
 DONE = "batch.json"  # in the folder of results of a capture
+STEP = {
+    "key": Field(TEXT), "seconds": Field(NUMBER, (), 0, 1e9, "seconds"),
+    "peak_bytes": Field(WHOLE, (), 0, 2**60, "bytes"),
+}  # fmt: skip
+RECORD = {"steps": Field(STEP, (NAMES,))}
 
 
 @dataclass(frozen=True)
@@ -105,20 +110,9 @@ def _is_separate(output: Path | None, folder: Path) -> bool:
 def read_done(folder: Path) -> dict[str, dict[str, Any]]:
     """Read key, seconds and peak memory of completed steps; an empty dictionary if damaged."""
     try:
-        return {
-            name: {"key": str(step["key"]), "seconds": in_range(step["seconds"]),
-                   "peak_bytes": int(in_range(step["peak_bytes"]))}
-            for name, step in read_json(folder / DONE)["steps"].items()
-        }  # fmt: skip
-    except (OSError, SvuError, ValueError, TypeError, KeyError, AttributeError):
+        return dict(read_record(folder / DONE, RECORD, "run the batch again")["steps"])
+    except SvuError:
         return {}
-
-
-def in_range(value: Any, high: float = sys.float_info.max) -> float:
-    """Return a number from a record as float; raise ValueError unless it is in [0, high]."""
-    if type(value) not in (int, float) or not 0 <= value <= high:
-        raise ValueError(f"{value!r} is not in [0, {high}]")
-    return float(value)
 
 
 def write_done(folder: Path, steps: dict[str, dict[str, Any]]) -> None:

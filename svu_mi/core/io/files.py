@@ -22,6 +22,7 @@ except ImportError:  # Windows
 
 MAX_RATIO, FREE = 2000, 2**26  # largest compression ratio; bytes that are always accepted
 OURS = ".svu-"  # part of the names of hidden temporary files and folders
+LARGEST_JSON = 2**26  # bytes; ten times a capture.json with the most sensors
 SUFFIX = 16  # letters of a suffix in temporary names
 
 _stamp: ContextVar[Mapping[str, str] | None] = ContextVar("stamp", default=None)
@@ -167,12 +168,13 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        CaptureError: the file cannot be read, or is not JSON.
+        CaptureError: the file cannot be read, is too large, or is not JSON.
     """
     try:
-        return json.loads(
-            path.read_text(encoding="utf-8-sig")
-        )  # Windows tools write a byte-order mark
+        if path.stat().st_size > LARGEST_JSON:
+            raise ValueError(f"it has more than {LARGEST_JSON >> 20} MiB")
+        # Windows tools write a byte-order mark.
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not a readable JSON file ({excerpt(error)}).") from error
 

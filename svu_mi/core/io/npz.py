@@ -19,7 +19,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -29,7 +29,6 @@ from svu_mi.errors import excerpt
 
 DIGEST = "digest"
 ANY = re.compile("(?s).*")
-LARGEST = 3.4e38  # largest single-precision number
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others ignore limits of size
 
@@ -55,42 +54,6 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     if digest is None or digest.shape or str(digest) != _digest(content):
         raise ValueError("the checksum does not match")
     return content
-
-
-class Field(NamedTuple):
-    """Type, shape and range of an array in a file.
-
-    Attributes:
-        kind: accepted letters of ``dtype.kind``, or one type such as ``f4``.
-        shape: length or name of each axis; axes of the same name have the same length.
-        low, high: range of the numbers, which excludes NaN; if low is None, any are accepted.
-    """
-
-    kind: str
-    shape: Sequence[int | str] = ()
-    low: float | None = None
-    high: float = LARGEST
-
-
-def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]) -> None:
-    """Raise ValueError unless names, types, shapes and ranges match a schema."""
-    other = sorted(set(schema) ^ set(arrays))
-    if other:
-        problem = "missing" if other[0] in schema else "unknown"
-        raise ValueError(f"the array {excerpt(other[0], 40)} is {problem}")
-    lengths: dict[int | str, int] = {}
-    for name, (kind, shape, low, high) in schema.items():
-        array = arrays[name]
-        wanted = tuple(
-            axis if isinstance(axis, int) else lengths.setdefault(axis, length)
-            for axis, length in zip(shape, array.shape, strict=False)
-        )
-        if not (array.dtype.kind in kind if kind.isalpha() else array.dtype.str[1:] == kind):
-            raise ValueError(f"the array {name} has the type {array.dtype}")
-        if array.shape != wanted or array.ndim != len(shape):
-            raise ValueError(f"the array {name} has the shape {array.shape}")
-        if low is not None and not ((array >= low) & (array <= high)).all():
-            raise ValueError(f"the array {name} has values out of range")
 
 
 def read_foreign_array(path: Path, largest: int) -> np.ndarray:

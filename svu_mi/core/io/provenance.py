@@ -17,6 +17,7 @@ from typing import Any
 from svu_mi.core.io.exr import read_header
 from svu_mi.core.io.files import is_temporary, read_json
 from svu_mi.core.io.hashes import digest_of_file
+from svu_mi.core.io.schema import NAMES, TEXT, Field, checked
 from svu_mi.errors import CaptureError, excerpt
 
 RESULT = "written"  # key of the entry in a record
@@ -26,7 +27,10 @@ RUN_RECORD = "run.json"
 RECORDS = (RUN_RECORD, "asset.json", "check.json", "compare.json", LIGHT_RECORD, "capture.json")
 CAPTURES = ("render", "import")  # commands whose results are captures
 LONGEST = 1024  # letters of a file name
-MAX_BYTES = 2**26  # of a record
+ENTRY = {
+    "run": Field(TEXT), "command": Field(TEXT), "capture": Field(TEXT),
+    "files": Field(TEXT, (NAMES,)),
+}  # fmt: skip
 HEAD = 4096  # bytes at the start of a scene file or mesh that contain its marks
 
 
@@ -50,12 +54,10 @@ class Entry:
     def parse(cls, value: Any) -> Entry | None:
         """Return the entry of a JSON value; None if it is invalid."""
         try:
-            entry = cls(value["run"], value["command"], value["capture"], dict(value["files"]))
-        except (TypeError, KeyError, ValueError):
+            entry = cls(**checked(value, ENTRY))
+        except ValueError:
             return None
-        words = entry.run, entry.command, entry.capture, *entry.files.values()
-        valid = all(isinstance(word, str) for word in words) and all(map(is_inside, entry.files))
-        return entry if valid else None
+        return entry if all(map(is_inside, entry.files)) else None
 
     def owns(self, folder: Path, name: str) -> bool:
         """Return whether a file is unchanged since the run."""
@@ -74,8 +76,7 @@ class Entry:
 def entry_of(record: Path, command: str = "") -> Entry | None:
     """Return the entry of a record; None if unreadable, or written by another command."""
     try:
-        short = record.is_file() and record.stat().st_size <= MAX_BYTES
-        content = read_json(record) if short else {}
+        content = read_json(record) if record.is_file() else {}
     except (CaptureError, OSError):
         return None
     entry = Entry.parse(content.get(RESULT)) if isinstance(content, dict) else None

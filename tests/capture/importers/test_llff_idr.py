@@ -297,10 +297,16 @@ def changed(index: int | list[int], value: float, factor: float = 0) -> np.ndarr
 
 
 BAD_ROWS = {
-    "16 columns": (changed(3, 1)[:, :16], "holds a table of 3 x 16 numbers; poses of LLFF have 17"),
-    "flat": (changed(3, 1).ravel(), "a table of 51 numbers"),
-    "one number": (np.float64(3), "holds a number; poses"),
-    "none": (np.zeros((0, 17)), "a table of 0 x 17 numbers"),
+    "16 columns": (
+        changed(3, 1)[:, :16],
+        r"poses must be numbers for 3 photographs x 17, got .* shape \(3, 16\)",
+    ),
+    "flat": (
+        changed(3, 1).ravel(),
+        r"1 to 10000 photographs x 17, got float64 of shape \(51,\); export",
+    ),
+    "one number": (np.float64(3), "10000 photographs x 17, got 3.0; export them again"),
+    "none": (np.zeros((0, 17)), r"1 to 10000 photographs x 17, got float64 of shape \(0, 17\)"),
     "NaN": (changed(6, np.nan), "pose 1: a number is NaN"),
     "infinite": (changed(14, np.inf), "pose 1: a number is NaN, infinite or too large"),
     "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
@@ -308,8 +314,14 @@ BAD_ROWS = {
     "complex": (changed(3, 1).astype(complex), "the array has type complex128; expected real"),
     "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
     "parts of pixels": (changed(4, 23.5), "pose 1: a photograph of 40 x 23.5 pixels; the last"),
-    "no height": (changed(4, 0), "pose 1: a photograph of 40 x 0 pixels"),
-    "no focal length": (changed(14, 0), "pose 1: the focal length is 0, 0 pixels"),
+    "no height": (
+        changed(4, 0),
+        r"pose 1: size must be 2 whole numbers in \[1, 65536\] pixels, got 0",
+    ),
+    "no focal length": (
+        changed(14, 0),
+        r"pose 1: focal length must be 2 numbers in \[0.001, 1e\+06\] times",
+    ),
     "too few": (changed(3, 1)[:2], "has 3 photographs, but .*poses_bounds.npy has 2 poses; give"),
 }
 
@@ -340,11 +352,23 @@ def intrinsics(matrix: np.ndarray) -> np.ndarray:
 SKEWED = np.array([[50.0, 0.2, 16], [0, 50, 13], [0, 0, 1]])
 FLAT = np.array([[50.0, 0, 16], [0, 0, 13], [0, 0, 1]])
 BAD_ARRAYS = {
-    "no world_mat": (but(world_mat_1=None), "has no world_mat_1; IDR needs"),
-    "nothing": ({"other": np.eye(4)}, "has no world_mat_0; IDR needs"),
-    "no scale_mat": (but(scale_mat_2=None), "has no scale_mat_2; IDR needs"),
-    "NaN": (but(world_mat_1=np.full((4, 4), np.nan)), "world_mat_1 is not a finite 4 x 4 matrix"),
-    "3 x 4": (but(world_mat_1=SHIFTED[1].world_mat[:3]), "world_mat_1 is not a finite 4 x 4"),
+    "no world_mat": (
+        but(world_mat_1=None),
+        "world_mat_1 is missing; write the cameras again, with world_mat_0",
+    ),
+    "nothing": ({"other": np.eye(4)}, "world_mat_0 is missing; write the cameras again, with"),
+    "no scale_mat": (
+        but(scale_mat_2=None),
+        "scale_mat_2 is missing; .* and all or none of scale_mat_0,",
+    ),
+    "NaN": (
+        but(world_mat_1=np.full((4, 4), np.nan)),
+        r"world_mat_1 must be 4 x 4 numbers in \[-1e\+30, 1e\+30\], got nan",
+    ),
+    "3 x 4": (
+        but(world_mat_1=SHIFTED[1].world_mat[:3]),
+        r"world_mat_1 must be 4 x 4 numbers .*, got float64 of shape \(3, 4\)",
+    ),
     "transposed": (but(world_mat_1=SHIFTED[1].world_mat.T), "last row of world_mat_1 must be"),
     "objects": (but(world_mat_1=np.array([print] * 16, object)), "declares pickled objects; write"),
     "mirrored": (
@@ -421,7 +445,7 @@ def test_files_that_promise_more_than_they_hold_are_not_read(tmp_path):
         whole.replace(b"(3, 17), }", b"(10**11,)}"), whole.replace(b"<f8", b"|O8"),
     ):  # fmt: skip
         file.write_bytes(data)
-        with pytest.raises(CaptureError, match="poses_bounds.npy: .*; export the poses again") as e:
+        with pytest.raises(CaptureError, match="poses_bounds.npy: .*; export them again") as e:
             read_source(folder)
         sentence(e.value, folder)
     os.truncate(file, 2**24 + 1)

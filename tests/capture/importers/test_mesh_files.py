@@ -748,7 +748,7 @@ def test_poses_of_pixels_that_are_not_square_are_candidates(tmp_path):
         ({"camera_model": "EQUIRECTANGULAR"}, "equirectangular is not a pinhole"),
         ({"is_fisheye": True}, "a fisheye is not a pinhole"),
         ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1}, "opencv_fisheye is not a pinhole"),
-        ({"distortion_params": [0.1, 0, 0, 0]}, "distortion_params must be the 6 numbers"),
+        ({"distortion_params": [0.1, 0, 0, 0]}, "or all 6 as distortion_params; undistort"),
     ],
 )
 def test_lenses_that_are_not_straight(tmp_path, changes, sentence):

@@ -143,7 +143,10 @@ BROKEN = {
         "8.5 x 6 .* whole numbers of pixels; copy",
     ),
     "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "must hold 24"),
-    "a large size": ({CAMERA: GOOD.replace("8 6", "1e9 6")}, "must be 1 to 65536"),
+    "a large size": (
+        {CAMERA: GOOD.replace("8 6", "1e9 6")},
+        "size must be 2 whole numbers in \[1, 65536\]",
+    ),
     "no photograph": ({"inputs/image_0000.png": None}, "image_0000.png: no such photograph"),
     "no camera": ({CAMERA: None}, "no camera_0000.txt"),
     "no exposure": ({EXPOSURE: None}, "expected test/inputs/exposure.txt"),

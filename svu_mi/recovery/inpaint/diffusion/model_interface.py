@@ -11,7 +11,6 @@ svu_mi contains no weights. Each family has its own licence (``Family.licence``)
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from svu_mi.core.io.schema import TEXT, Field, read_record
 from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError, excerpt
 
@@ -63,7 +63,6 @@ class MaterialModel(Protocol):
 
 
 INDEX = "model_index.json"
-LARGEST_INDEX = 1 << 20  # bytes
 COLOR = ("base_color",) * 3
 
 
@@ -131,19 +130,13 @@ def family_of(folder: str | Path) -> Family:
     """Return the family of the weights in a folder, identified by its index file."""
     index = Path(folder) / INDEX
     known = " or ".join(family.title for family in FAMILIES.values())
-    try:
-        if not index.is_file():
-            raise OptionError(
-                f"{folder}: {INDEX} is missing; pass an unchanged copy of the published folder of "
-                f"{known}."
-            )
-        if index.stat().st_size > LARGEST_INDEX:
-            raise OptionError(f"{index}: not an index file: larger than {LARGEST_INDEX} bytes.")
-        record = json.loads(index.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise OptionError(f"{index}: cannot be read ({excerpt(error, 80)}).") from error
-    name = record.get("_class_name") if isinstance(record, dict) else None
-    if not isinstance(name, str) or name not in FAMILIES:
+    if not index.is_file():
+        raise OptionError(
+            f"{folder}: {INDEX} is missing; pass an unchanged copy of the published folder of "
+            f"{known}."
+        )
+    name = read_record(index, {"_class_name": Field(TEXT)}, f"use {known}")["_class_name"]
+    if name not in FAMILIES:
         raise OptionError(f"{index}: model {excerpt(name, 60)} is not supported; use {known}.")
     return FAMILIES[name]
 
