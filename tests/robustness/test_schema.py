@@ -27,7 +27,7 @@ SCHEMA = {
     "steps": Field({"seconds": Field(NUMBER, (), 0, 60, "seconds", 1)}, (NAMES,), default={}),
     "views": Field({"id": Field(TEXT)}, (Axis("views", 0, 2),), default=()),
     "numbers": Field(NUMBER, (ITEMS,), 0, 1, default=()), "rest": Field(OBJECT, default=None),
-    "mean": Field("f", (TEXELS, 2), 0, 1, default=None),
+    "mean": Field("f", (TEXELS, 2), 0, 1e9, default=None),
     "seen": Field("f4", (TEXELS,), default=None),
 }  # fmt: skip
 FINE = {"count": 3}
@@ -65,11 +65,12 @@ def test_fields_are_returned_with_their_defaults():
         ({"numbers": [0, 2]}, "numbers[1] must be a number in [0, 1], got 2"),
         ({"numbers": {"a": 1}}, "numbers must be numbers for each entry in [0, 1], got {'a': 1}"),
         ({"rest": [1]}, "rest must be an object, got a list of 1"),
-        ({"mean": np.zeros((5, 2))}, "mean must be numbers for 1 to 4 texels x 2 in [0, 1], got "),
+        ({"mean": np.zeros((5, 2))}, "mean must be numbers for 1 to 4 texels x 2 in [0, "),
         ({"mean": np.zeros((3, 2), int)}, "got int64 of shape (3, 2)"),
-        ({"mean": np.full((3, 2), NAN)}, "mean must be numbers for 3 texels x 2 in [0, 1], got n"),
+        ({"mean": np.full((3, 2), NAN)}, "for 3 texels x 2 in [0, 1e+09], got nan"),
         ({"mean": np.zeros((3, 2)), "seen": np.zeros(2, "f4")}, "seen must be numbers for 3 te"),
         ({"seen": np.zeros(2)}, "got float64 of shape (2,)"),
+        ({"mean": np.full((3, 2), np.inf, "f2")}, "got inf"),
         ({"count": np.array(12)}, "count must be a whole number in [0, 9], got 12"),
     ],
 )  # fmt: skip

@@ -20,19 +20,26 @@ from support.helpers import made_up_light
 from support.mutations import BINARY
 from svu_mi.calibration.light.light_folder import load_light, save_light
 from svu_mi.capture import capture_folder
+from svu_mi.cli.batch.runner import _figures_of
+from svu_mi.cli.batch.steps import read_done, write_done
 from svu_mi.core.io.files import write_json, write_text
 from svu_mi.core.io.npz import DIGEST, write_arrays
 from svu_mi.core.io.output_folder import claimed, writing
-from svu_mi.core.io.provenance import entry_of
+from svu_mi.core.io.provenance import entry_of, marks_of, mesh_of
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference import TracedTables
 from svu_mi.evaluation.reference_options import ReferenceOptions
+from svu_mi.output.result_maps import read_result as read_maps
+from svu_mi.output.run_record import RECORD
+from svu_mi.output.texture_files import FILES, read_textures, recovery_settings, write_textures
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, DescentState
+from svu_mi.recovery.svbrdf_textures import Textures
 
 SETTINGS = {"seed": 3, "sh": {"descent": {"steps": 9, "rate": 0.01}, "name": "ball"}, "tv": None}
 CONTENT = {"shapes": "ab" * 16, "light": "cd" * 16, "photographs": "ef" * 16}
+MAPS = {"base_color": (4, 6, 3), "roughness": (4, 6, 1), "metallic": (4, 6, 1)}
 SHAPES = {"base_color": (4, 6, 3), "roughness": (4, 6, 1)}
 OPTIONS = ReferenceOptions(2, PrincipledGrid(2, 2, 2), 0.5, 2, "linear", 0)
 logging.getLogger("svu_mi.core.io").setLevel(logging.ERROR)  # says what it keeps
@@ -117,6 +124,45 @@ def read_found_light(folder: Path, out: Path) -> None:
     save_light(light, out / "again")  # all of it can be written
 
 
+def write_recovered(folder: Path) -> None:
+    """Write textures with their record, as ``svu recover`` does."""
+    rng = np.random.default_rng(814)
+    images = {name: rng.random((*shape[:2], shape[2]), np.float32) for name, shape in MAPS.items()}
+    with writing(folder, "recover", RECORD, capture="ab" * 16) as draft:
+        write_textures(Textures.of(images), draft.folder)
+        used = {"settings": {"used": SETTINGS}, "inputs": {"mesh": "cd" * 16, "source": "vase"}}
+        write_json(draft.folder / RECORD, {**used, **draft.entries()})
+
+
+def read_recovered(folder: Path, out: Path) -> None:
+    """Read textures, their settings and their mesh, and compare them as maps."""
+    textures = read_textures(folder)
+    assert all(
+        0 <= np.min(image) <= np.max(image) <= 1 for image in map(np.array, textures.values())
+    )
+    assert isinstance(recovery_settings(folder), dict)
+    assert isinstance(mesh_of(folder / RECORD, marks_of(folder / FILES["roughness"])[0]), str)
+    read_maps(folder, "fuzzed")
+
+
+def write_batch(folder: Path) -> None:
+    """Write the records of two steps, and the figures of one, as ``svu batch`` does."""
+    write_done(folder, {"entropy": {"key": "ab" * 16, "seconds": 2.5, "peak_bytes": 3 * 10**8}})
+    (folder / "entropy").mkdir()
+    intervals = {"seen_part": 0.9, "all_known_part": 0.2}
+    result = {"mean_entropy_of_seen": 0.4, "intervals": intervals}
+    write_json(folder / "entropy" / RECORD, {"result": result})
+
+
+def read_batch(folder: Path, out: Path) -> None:
+    """Read the records of a batch; what is damaged is computed again."""
+    done, figures = read_done(folder), _figures_of(folder)
+    assert all(0 <= value <= 1 for value in figures.values())
+    assert all(step["seconds"] >= 0 and step["peak_bytes"] >= 0 for step in done.values())
+    if not (done and figures):
+        raise SvuError(f"{folder}: a step is computed again.")
+
+
 def rebuilt_npz(data: bytes, draw: random.Random) -> bytes:
     """Change the arrays of an archive by their structure, mostly with the right digest."""
     try:
@@ -181,6 +227,8 @@ RECORDS = (
     Format(name="checkpoint", make=write_checkpoint, read=read_checkpoint),
     Format(name="light", make=write_found_light, read=read_found_light, share=3),
     Format(name="reference", make=write_reference, read=read_reference, share=2),
+    Format(name="recovered", make=write_recovered, read=read_recovered, share=2),
+    Format(name="batch.json", make=write_batch, read=read_batch, share=2),
     Format(name="run.json", make=write_result, read=read_result, targets="run.json", share=4),
     Format(
         name="capture.json", make=write_scene_capture, read=capture, targets=capture_folder.FILE,

@@ -154,7 +154,8 @@ def _problem(value: Any, field: Field, lengths: dict[str, int]) -> str:
         return f"{given} of shape {sizes}" if sizes else reprlib.repr(shown)
     if field.low is None or given.kind in TEXT + OBJECT:
         return ""
-    inside = np.asarray((value >= field.low) & (value <= field.high))
+    as_limit = np.float64 if has_type else float  # half floats would overflow
+    inside = np.asarray((value >= as_limit(field.low)) & (value <= as_limit(field.high)))
     return "" if inside.all() else str(np.asarray(value)[~inside].flat[0])
 
 
