@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -66,6 +67,13 @@ class Description:
             return []
         names = [path.rpartition("/")[2] for path in paths]
         return names if len(set(names)) == len(names) and all(names) else list(paths)
+
+    @property
+    def mesh_scale(self) -> float | None:
+        """Scale that the mesh was imported with; None if the capture was not imported."""
+        scale = self.imported.get("mesh_scale", 1.0)
+        is_valid = isinstance(scale, float) and 0 < scale < math.inf
+        return (scale if is_valid else 1.0) if self.imported else None
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
         """Make the described sensors; ``path`` is the folder, for messages."""

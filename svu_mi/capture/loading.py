@@ -19,7 +19,8 @@ from svu_mi.capture.crop import WHOLE, Detail, Window
 from svu_mi.capture.image_io import ImageFile
 from svu_mi.capture.load_warnings import check_photographs, unsupported, warn_of_back_faces
 from svu_mi.capture.match_photographs import Match, Missing, match_photographs, photographs_of
-from svu_mi.capture.mesh import chart_coverage, has_uvs
+from svu_mi.capture.mesh import arrays, chart_coverage, has_uvs
+from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.photographs import open_photographs, read_photographs
 from svu_mi.capture.pixel_buffer import room_for_photographs
 from svu_mi.capture.scene import (
@@ -226,7 +227,7 @@ class CapturePlan:
         notes, used = check_photographs(photographs, self.paths, names, some=self.partial)
         mesh, unwrapping = _texel_mesh(self.target, self.unwrap, self.folder)
         notes = [*self.match.notes, *notes, *unwrapping, *unsupported(self.scene, self.target)]
-        notes += warn_of_back_faces(self.scene, self.target, sensors)
+        notes += self._geometry_warnings(sensors)
         for sentence in notes:
             warnings.warn(sentence, SvuWarning, stacklevel=3)
         return Capture(
@@ -239,6 +240,13 @@ class CapturePlan:
             clipped=_any(photograph.clipped for photograph in photographs),
             rounding=_any(photograph.rounding for photograph in photographs), buffer=buffer,
         )  # fmt: skip
+
+    def _geometry_warnings(self, sensors: Sequence[Any]) -> list[str]:
+        """Return a warning if the unit of the mesh, or its front side, seems to be wrong."""
+        wrong = wrong_scale(arrays(self.target).positions, self.sensors)
+        if wrong is None:
+            return warn_of_back_faces(self.scene, self.target, sensors)
+        return [f"Shape '{self.target.id()}': {wrong.sentence(self.description.mesh_scale)}"]
 
 
 def plan_photographs(

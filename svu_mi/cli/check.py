@@ -89,7 +89,10 @@ def _print(console: Console, result: Check, capture: Capture) -> None:
 
 
 def _remedy(check: Check, capture: Capture) -> str:
-    return f"Import it again with: {reimport_command(capture, check.fixes)}" if check.fixes else ""
+    if not check.fixes and check.mesh_scale == 1:
+        return ""
+    again = reimport_command(capture, check.fixes, check.mesh_scale)
+    return f"Import it again with: {again}"
 
 
 def _view_table(result: Check) -> Any:

@@ -134,17 +134,29 @@ class Import(BaseCommand):
                 return plan.write(place, self.words, stage.update)
 
 
-def reimport_command(capture: Capture, fixes: Sequence[str]) -> str:
-    """Return the command line that repeats the import of a capture with additional ``fixes``."""
+def reimport_command(capture: Capture, fixes: Sequence[str], mesh_scale: float = 1.0) -> str:
+    """Return the command line that repeats the import of a capture with corrections.
+
+    Args:
+        capture: Capture that was imported.
+        fixes: Names of additional corrections.
+        mesh_scale: Factor by which the scale of the mesh is multiplied.
+    """
     from svu_mi.capture import capture_folder
 
     record = None if capture.source is None else capture_folder.read(capture.source)
     given = _parse_arguments(record.imported.get("options") if record else None)
     if given is None:  # imported from Python or by an earlier version, or changed since
-        return " ".join(["svu import ...", *_arguments("fixes", _without_reverted(fixes))])
+        unit = [] if mesh_scale == 1 else _arguments("mesh_scale", _rounded(mesh_scale))
+        return " ".join(["svu import ...", *unit, *_arguments("fixes", _without_reverted(fixes))])
     every = _without_reverted((*given.conversion.fixes, *fixes))
-    again = replace(given, conversion=replace(given.conversion, fixes=every))
+    scale = _rounded(given.conversion.mesh_scale * mesh_scale)
+    again = replace(given, conversion=replace(given.conversion, fixes=every, mesh_scale=scale))
     return shlex.join(["svu", "import", *again.words, "-o", str(capture.source)])
+
+
+def _rounded(scale: float) -> float:
+    return float(f"{scale:.6g}")
 
 
 def _parse_arguments(words: Any) -> Import | None:

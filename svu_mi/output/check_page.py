@@ -10,6 +10,7 @@ import numpy as np
 
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
 from svu_mi.calibration.checks.check_result import Check, Finding, ViewMeans
+from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity
 from svu_mi.calibration.checks.surface_samples import emitter_of
 from svu_mi.calibration.checks.thumbnails import (
     Thumbnails,
@@ -64,28 +65,34 @@ def write_check(
         OutputError: a file cannot be written.
     """
     with writing(folder, "check", RECORD, capture=capture_key(capture)) as draft:
-        fixes = find_fixes(check.fixes)
-        corrected = apply_fixes(capture, fixes, check.camera_axes) if fixes else capture
+        fixes, corrected = find_fixes(check.fixes), capture
+        if check.mesh_scale != 1:
+            corrected = MeshSimilarity(check.mesh_scale).apply(corrected)
+        if fixes:
+            corrected = apply_fixes(corrected, fixes, check.camera_axes)
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,
             verdict=verdict(check), remedy=remedy, numbers=_numbers(check),
             findings=[_finding_rows(one) for one in check.findings], questions=QUESTIONS,
             views=list(_views(capture, corrected, check)), total=len(check.views),
             panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
-            is_corrected=bool(fixes), before=BEFORE, after=AFTER,
+            is_corrected=corrected is not capture, before=BEFORE, after=AFTER,
         )  # fmt: skip
         write_manifest(draft.folder / RECORD, {
-            "fits": check.fits, "fixes": check.fixes, "check": check, "settings": settings,
-            "environment": environment_record(), **draft.entries(),
+            "fits": check.fits, "fixes": check.fixes, "mesh_scale": check.mesh_scale,
+            "check": check, "settings": settings, "environment": environment_record(),
+            **draft.entries(),
         })  # fmt: skip
 
 
 def verdict(check: Check) -> str:
     """Return the result as one sentence."""
-    if check.fixes:
-        count = len(check.fixes)
+    names = [*([] if check.mesh_scale == 1 else ["another mesh scale"]), *check.fixes]
+    is_unclear = any(one.question == "poses" and one.verdict == "unclear" for one in check.findings)
+    if names and not is_unclear:
+        count = len(names)
         words = "One correction makes" if count == 1 else f"{count} corrections make"
-        return f"{words} the capture fit its photographs: {' + '.join(check.fixes)}."
+        return f"{words} the capture fit its photographs: {' + '.join(names)}."
     unclear = [one.question for one in check.findings if one.verdict == "unclear"]
     if any(question in AXES for question in unclear):
         return "The capture may not fit its photographs; the right correction is unclear."

@@ -294,7 +294,7 @@ def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False)
     if not counts.any():
         raise CaptureError(
             f"No texel of '{capture.shape.id()}' is seen in any of {len(counts)} photographs; "
-            "check the poses (camera space is +X left, +Y up, +Z forward), masks and normals."
+            "check poses (camera space is +X left, +Y up, +Z forward), units, masks and normals."
         )
     used = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
     blind = [name for name, count in zip(used, counts, strict=True) if count == 0]

@@ -29,6 +29,7 @@ from svu_mi.calibration.checks.decisions import (
     decide_texture,
 )
 from svu_mi.calibration.checks.envmap_orientation import LightScore, score_light
+from svu_mi.calibration.checks.mesh_similarity import fit_masks
 from svu_mi.calibration.checks.pose_scores import check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
@@ -530,3 +531,55 @@ def test_the_whole_corrected_command_can_be_pasted(knot, tmp_path, capsys, monke
 
 def poses_of(capture):
     return np.array([to_world(sensor) for sensor in capture.sensors])
+
+
+# --- units and worlds -------------------------------------------------------------------------
+
+
+def moved(capture: svu.Capture, scale: float, offset: tuple[float, ...] = (0, 0, 0)):
+    """Return the capture with another mesh, a position x of which is at (x - offset) / scale."""
+    mesh = capture_mesh.arrays(capture.shape)
+    positions = (mesh.positions - np.array(offset)) / scale
+    shape = capture_mesh.make_mesh(
+        "cluster", capture_mesh.MeshArrays(positions, mesh.faces, mesh.normals, mesh.uvs)
+    )
+    shape.set_bsdf(capture.shape.bsdf())
+    scene = make_scene([shape, *capture.scene.emitters()])
+    return replace(capture, scene=scene, shape=shape, mesh=shape)
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize(("factor", "masked"), [(0.001, True), (0.1, True), (0.1, False),
+                                                (1000.0, True)])  # fmt: skip
+def test_the_unit_is_named_with_its_factor(capture, factor, masked):
+    result = svu.check(moved(capture if masked else without_masks(capture), factor))
+    poses = result.findings[0]
+    assert result.mesh_scale == pytest.approx(factor) and not result.fits
+    assert f"scale the shape by {factor:.4g}. With this scale: Cameras and mesh fit" in (
+        poses.sentence
+    )
+    assert poses.verdict == "wrong"
+    assert verdict(result) == (
+        "One correction makes the capture fit its photographs: another mesh scale."
+    )
+    after = [view.overlap for view in result.corrected]
+    assert not masked or min(after) > 0.85
+
+
+def test_axes_are_corrected_with_the_unit(capture):
+    result = svu.check(spoil(moved(capture, 0.01), FIXES["mesh-x90"]))
+    assert result.mesh_scale == pytest.approx(0.01) and result.fixes == ("mesh-x90",)
+
+
+def test_the_size_of_another_world_is_named(capture):
+    """A similarity of no usual factor: nothing is proposed, but the size is right."""
+    small = moved(capture, 4.35, (0.3, -0.2, 0.1))
+    result = svu.check(small)
+    assert result.findings[0].verdict == "unclear" and result.mesh_scale == 1
+    sentence = r"The masks show an object about 4\.[1-5] times as large as the mesh, which may be"
+    assert re.search(sentence, result.findings[0].sentence)
+    found = fit_masks(reduce_photographs(small, 64))
+    assert found is not None and found.scale == pytest.approx(4.35, rel=0.08)  # masks lose a border
+    before = np.array(small.shape.bbox().center())
+    np.testing.assert_allclose(found.after, 4.35 * before + [0.3, -0.2, 0.1], atol=0.15)
+    assert fit_masks(reduce_photographs(without_masks(small), 64)) is None

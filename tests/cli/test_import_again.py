@@ -83,6 +83,22 @@ def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left
     assert line == shlex.join(["svu", "import", *NEEDED, *words, "-o", "capture"])
 
 
+@pytest.mark.filterwarnings("default::svu_mi.SvuWarning")
+def test_a_unit_is_corrected_by_the_printed_command(given, capsys):
+    """A scan in mm that was taken for cm: --mesh-scale 0.01 becomes 0.001."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1000.0)
+    ball.export(given / "scan.ply")
+    assert main(["import", *NEEDED, "--mesh-scale", "0.01", "-o", "capture"]) == 0
+    assert "import with --mesh-scale 0.001." in capsys.readouterr().out
+    assert main(["check", "capture", "-o", "checked"]) == 0
+    said = capsys.readouterr()
+    assert said.err.endswith("import with --mesh-scale 0.001.\n")
+    line = said.out.partition("Import it again with: ")[2].splitlines()[0]
+    assert main(shlex.split(line)[1:]) == 0
+    assert "--mesh-scale" not in capsys.readouterr().out
+    assert svu.load_capture("capture", light="optional").mesh.bbox().max.x == pytest.approx(1)
+
+
 @pytest.fixture
 def imported_with(given):
     """Return the capture with different recorded import options."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import compress
 from typing import Any
 
@@ -12,6 +13,7 @@ from svu_mi.calibration.checks import decisions, exposure_checks
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
 from svu_mi.calibration.checks.check_result import Check, Finding
 from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
+from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity, fit_masks
 from svu_mi.calibration.checks.pose_scores import check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
@@ -34,6 +36,7 @@ from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, unsupported
 from svu_mi.capture.mesh import arrays
+from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
@@ -75,7 +78,7 @@ def check(
     progress = progress or Progress()
     with progress.stage("Reducing photographs"):
         small = reduce_photographs(capture, SIDE)
-    axial, axes = find_axis_mistakes(small, progress=progress)
+    scaled, scale, axial, axes = _find_mistakes(capture, small, progress)
     if gains is None or _axes_are_off(axial):
         with progress.stage("Comparing gains"):
             gain = compare_gains(capture, small, axial)
@@ -85,9 +88,28 @@ def check(
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
-        if names:
-            corrected = check_views(apply_fixes(small, find_fixes(names), axes))
-    return Check(views=views, corrected=corrected, findings=findings, camera_axes=axes)
+        if names or scale != 1:
+            corrected = check_views(apply_fixes(scaled, find_fixes(names), axes))
+    return Check(
+        views=views, corrected=corrected, findings=findings, camera_axes=axes, mesh_scale=scale
+    )
+
+
+def _find_mistakes(
+    capture: Capture, small: Capture, progress: Progress
+) -> tuple[Capture, float, Findings, np.ndarray]:
+    """Test unit and axes; return the reduced capture with a corrected unit, and the findings."""
+    wrong = wrong_scale(arrays(capture.shape).positions, capture.used_sensors)
+    factor = wrong.factor if wrong else None
+    scaled = small if factor is None else MeshSimilarity(factor).apply(small)
+    (poses, light, texture), axes = find_axis_mistakes(scaled, progress=progress)
+    if wrong:
+        description = None if capture.source is None else capture_folder.read(capture.source)
+        sentence = wrong.sentence(description.mesh_scale if description else None)
+        poses = decisions.with_wrong_scale(poses, sentence, corrected=factor is not None)
+    elif poses.verdict == "unclear" and not poses.fixes and (fit := fit_masks(small)):
+        poses = replace(poses, sentence=f"{poses.sentence}{fit.sentence}")
+    return scaled, factor or 1.0, (poses, light, texture), axes
 
 
 def find_axis_mistakes(

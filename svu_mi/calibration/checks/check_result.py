@@ -101,6 +101,7 @@ class Check:
         corrected: Fit after all suggested corrections; ``views`` itself without corrections.
         findings: Findings of poses, light, texture, gain and (if any) ignored parts.
         camera_axes: (4, 4) matrix assumed by ``camera-inverse`` (see ``apply_fixes``).
+        mesh_scale: Factor of the mesh that corrects its unit; 1 if the unit is correct.
 
     Example:
         >>> result = svu.check(capture)
@@ -112,6 +113,7 @@ class Check:
     corrected: tuple[ViewCheck, ...]
     findings: tuple[Finding, ...]
     camera_axes: np.ndarray
+    mesh_scale: float = 1.0
 
     def __repr__(self) -> str:
         said = (f"{one.question} ({one.verdict}): {one.sentence}" for one in self.findings)

@@ -89,6 +89,16 @@ def with_inside_out(poses: Finding, behind: float) -> Finding:
     )  # fmt: skip
 
 
+def with_wrong_scale(poses: Finding, wrong: str, *, corrected: bool) -> Finding:
+    """Add another unit of the mesh to a finding, of the corrected mesh if that is known."""
+    certain = corrected and poses.verdict != "unclear"
+    then = f" With this scale: {poses.sentence}" if corrected else ""
+    return replace(
+        poses, verdict="wrong" if certain else "unclear", fixes=poses.fixes if corrected else (),
+        sentence=f"{wrong[0].upper()}{wrong[1:]}{then}",
+    )  # fmt: skip
+
+
 def _table(scores: Sequence[PoseScore | LightScore]) -> tuple[ScoredHypothesis, ...]:
     return tuple(
         ScoredHypothesis(fixes=score.hypothesis.names, score=score.total, cues=score.cues)

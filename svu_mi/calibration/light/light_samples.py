@@ -116,7 +116,8 @@ class TexelSamples:
         if not len(enough):
             raise CaptureError(
                 f"No texel is seen in {FEWEST} photographs, which estimates of light and gains "
-                "need; take more photographs, or give the light and the gains."
+                "need; check scale and axes of the mesh with svu check, take more photographs, "
+                "or give the light and the gains."
             )
         # Texels are ordered by position: equal steps cover the surface evenly.
         count = min(count, len(enough))

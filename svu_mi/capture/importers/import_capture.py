@@ -36,11 +36,13 @@ from svu_mi.capture.importers.exposure_list import with_gains
 from svu_mi.capture.importers.import_options import ImportOptions, Light
 from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
+from svu_mi.capture.importers.nerfstudio_world import find_normalisation, in_world_of_poses
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.importers.source_files import relative_name
 from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward
 from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import unwrap
@@ -127,7 +129,7 @@ class ImportPlan:
         """Write the capture folder (see ``import_capture``)."""
         source, options, frames, light = self.source, self.options, self.frames, self.light
         with writing(folder, "import", capture_folder.FILE) as draft:
-            geometry = _read_object(self.mesh, frames, options, self.fixes)
+            geometry = self._read_object()
             squares, views = _write_photographs(frames, draft.folder, options.shrink, progress)
             notes = [*source.notes, *self.notes, *geometry.notes, *photograph_notes(frames, views)]
             if light is not None:
@@ -137,7 +139,8 @@ class ImportPlan:
             imported = {
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
                 "photographs": [relative_name(source.root, frame.image) for frame in squares],
-                "notes": notes, **({"options": list(words)} if words else {}),
+                "mesh_scale": float(options.mesh_scale), "notes": notes,
+                **({"options": list(words)} if words else {}),
             }  # fmt: skip
             description = Description(
                 scene=draft.folder / SCENE, shape=OBJECT, imported=imported,
@@ -145,6 +148,37 @@ class ImportPlan:
             )  # fmt: skip
             capture_folder.write(draft, description, sensors)
         return notes
+
+    def _read_object(self) -> TexturedMesh:
+        """Read the mesh, correct and scale it, and compute missing UVs."""
+        label, options = self.mesh, self.options
+        geometry = read_textured_mesh(label, geometry_only=options.geometry_only)
+        sensors = [square_pixel_frame(frame)[0].sensor() for frame in self.frames]
+        mesh, notes = self._in_world_of_poses(geometry.mesh, sensors)
+        for fix in self.fixes:
+            if fix.kind in ("mesh", "texture", "winding"):
+                mesh = correct_mesh(mesh, fix)
+        mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
+        if wrong := wrong_scale(mesh.positions, sensors, self.source.points):
+            notes.append(f"{label}: {wrong.sentence(options.mesh_scale)}")
+        else:
+            mesh, turned = _facing_cameras(mesh, self.frames, self.fixes, label)
+            notes += turned
+        if mesh.uvs is None:
+            mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
+            notes.append(f"{label}: has no UVs; UVs by xatlas are stored in {MESH}.")
+        return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
+
+    def _in_world_of_poses(
+        self, mesh: MeshArrays, sensors: Sequence[Any]
+    ) -> tuple[MeshArrays, list[str]]:
+        """Undo the normalisation of nerfstudio's meshes, if its file is near; return notes."""
+        if self.source.applied is None:
+            return mesh, []
+        path = find_normalisation([Path(self.mesh).parent, self.source.root])
+        if path is None:
+            return mesh, []
+        return in_world_of_poses(mesh, path, self.source.applied, sensors)
 
 
 def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
@@ -210,23 +244,6 @@ def _prepare_frames(
             )
         frames.append(with_size(replace(frame, to_world=poses[0]), picture.size))
     return frames
-
-
-def _read_object(
-    label: str, frames: Sequence[Frame], options: ImportOptions, fixes: Sequence[AxisFix]
-) -> TexturedMesh:
-    """Read the mesh, correct and scale it, and compute missing UVs."""
-    geometry = read_textured_mesh(label, geometry_only=options.geometry_only)
-    mesh = geometry.mesh
-    for fix in fixes:
-        if fix.kind in ("mesh", "texture", "winding"):
-            mesh = correct_mesh(mesh, fix)
-    mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
-    mesh, notes = _facing_cameras(mesh, frames, fixes, label)
-    if mesh.uvs is None:
-        mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
-        notes.append(f"{label}: has no UVs; UVs by xatlas are stored in {MESH}.")
-    return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
 
 
 def _clip_planes(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:

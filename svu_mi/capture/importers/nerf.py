@@ -16,6 +16,7 @@ import numpy as np
 
 from svu_mi.capture.image_io import SUFFIXES, open_image
 from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
+from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENGL, Frame, Source
 from svu_mi.capture.importers.source_files import relative_name, safe_path
 from svu_mi.core.io.files import read_json, write_json
@@ -46,6 +47,7 @@ FRAME = {
 TRANSFORMS = {
     "frames": Field(OBJECT, (Axis("photographs", 1, MAX_VIEWS),)),
     "applied_transform": MATRIX._replace(default=np.eye(4)),
+    "applied_scale": Field(NUMBER, (), 1 / LARGEST, LARGEST, default=1.0),
 }
 NOT_PINHOLE = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # model names
 
@@ -89,10 +91,16 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     """
     path = Path(path)
     record, frames, applied = read_poses(path)
-    before = np.linalg.inv(applied) if original_world else np.eye(4)
+    if original_world and applied.scale != 1:
+        raise OptionError(
+            f"{path}: has an applied_scale of {applied.scale:g}, which --original-world does not "
+            "undo; omit that option, and give a mesh in the world of the poses."
+        )
+    before = np.linalg.inv(applied.transform) if original_world else np.eye(4)
     usual = _default_size(path, record, frames)
-    notes = [] if original_world or np.allclose(applied, np.eye(4)) else [
-        f"{path}: has an applied_transform; poses are in the world after it. "
+    unchanged = np.allclose(applied.transform, np.eye(4)) and applied.scale == 1
+    notes = [] if original_world or unchanged else [
+        f"{path}: has an applied_transform or applied_scale; poses are in the world after it. "
         "If the mesh is in the world before it, import with --original-world."
     ]  # fmt: skip
     return Source(
@@ -103,18 +111,20 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
             for index, frame in enumerate(frames)
         ],
         camera_axes=OPENGL,
+        applied=AppliedWorld(before @ applied.transform, applied.scale),
         notes=tuple(notes),
     )
 
 
-def read_poses(path: Path) -> tuple[dict[str, Any], list[Any], np.ndarray]:
-    """Return the JSON object of a file, its frames, and its ``applied_transform`` (4, 4)."""
+def read_poses(path: Path) -> tuple[dict[str, Any], list[Any], AppliedWorld]:
+    """Return the JSON object of a file, its frames, and the change of its world."""
     record = read_json(path)
     try:
         known = checked(record, TRANSFORMS)
     except ValueError as error:
         raise CaptureError(f"{path}: no poses: {error}; export them again.") from error
-    return record, known["frames"], _matrix(known["applied_transform"])
+    applied = AppliedWorld(_matrix(known["applied_transform"]), known["applied_scale"])
+    return record, known["frames"], applied
 
 
 def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:

@@ -18,6 +18,7 @@ from svu_mi.capture.importers.camera_response import CameraResponse
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
 from svu_mi.capture.importers.import_options import Light as Light
 from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
@@ -177,6 +178,8 @@ class Source:
         mesh: path of the object's mesh, in the world of the poses; None if the format has none.
         light: environment map; None if the format has none.
         camera_axes: matrix that converted the tool's camera axes to Mitsuba's (``OPENGL``, ...).
+        applied: change of the world before nerfstudio's poses were written; None for other tools.
+        points: (P, 3) reconstructed points of object and surroundings; None if unknown.
         notes: sentences about decisions of the reader.
     """
 
@@ -186,4 +189,6 @@ class Source:
     mesh: Path | None = None
     light: Light | None = None
     camera_axes: np.ndarray = field(default_factory=lambda: np.eye(4))
+    applied: AppliedWorld | None = None
+    points: np.ndarray | None = None
     notes: Sequence[str] = ()

@@ -27,6 +27,7 @@ from svu_mi.capture.importers.colmap.sparse_model import (
     ColmapCamera,
     Pose,
     read_model,
+    read_points,
     write_model,
 )
 from svu_mi.capture.importers.lens_distortion import Lens
@@ -398,3 +399,27 @@ def test_what_cannot_be_straightened_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(undistortion.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(SvuEnvironmentError, match=r"svu_mi\[colmap\]"):
         undistort(small)
+
+
+POINTS3D = """# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]
+7 0.5 -1 2 1 2 3 0.1 1 4 2 5
+9 -3 4e-1 6 1 2 3 0.1
+"""
+
+
+def test_points_of_the_reconstruction(tmp_path):
+    """For units; they are optional, and damaged ones do not matter."""
+    assert read_points(tmp_path) is None
+    (tmp_path / "points3D.txt").write_text(POINTS3D)
+    wanted = [[0.5, -1, 2], [-3, 0.4, 6]]
+    np.testing.assert_array_equal(read_points(tmp_path), wanted)
+    records = (struct.pack("<Q3d3BdQ", 7, *wanted[0], 1, 2, 3, 0.1, 2) + bytes(16)
+               + struct.pack("<Q3d3BdQ", 9, *wanted[1], 1, 2, 3, 0.1, 0))  # fmt: skip
+    (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", 2) + records)
+    np.testing.assert_array_equal(read_points(tmp_path), wanted)
+    (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", 2**60) + records)
+    assert read_points(tmp_path) is None
+    (tmp_path / "points3D.bin").unlink()
+    for text in ("", "1 2\n", "1 nan 0 0 0\n", "1 a b c d\n", "\xff"):
+        (tmp_path / "points3D.txt").write_text(text)
+        assert read_points(tmp_path) is None

@@ -6,11 +6,17 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
+from svu_mi.capture.importers.import_capture import import_capture
+from svu_mi.capture.importers.import_options import ImportOptions
 from svu_mi.capture.importers.nerf import read_transforms, write_transforms
+from svu_mi.capture.importers.nerfstudio_world import AppliedWorld, read_normalisation
 from svu_mi.capture.importers.source import OPENGL, Frame
-from svu_mi.capture.sensors import describe
-from svu_mi.errors import CaptureError
+from svu_mi.capture.mesh import read_ply
+from svu_mi.capture.sensors import affine, describe
+from svu_mi.core.io.exr import write_exr
+from svu_mi.errors import CaptureError, OptionError
 
 GOOD = {"transform_matrix": np.eye(4).tolist(), "w": 8, "h": 6, "fl_x": 9.0}
 BROKEN = {
@@ -131,6 +137,75 @@ def test_a_transform_that_nerfstudio_applied_is_told_or_undone(tmp_path):
     np.testing.assert_allclose(kept.frames[0].to_world, applied @ turned(7), atol=1e-12)
     undone = read_transforms(tmp_path / "t.json", original_world=True)
     np.testing.assert_allclose(undone.frames[0].to_world, turned(7), atol=1e-12)
+
+
+@pytest.mark.parametrize("original", [False, True])
+def test_a_mesh_of_the_normalised_world_is_moved_back(tmp_path, original):
+    """x' = scale (transform x), with x before ``applied_transform``, as in nerfstudio's source."""
+    applied, transform, scale = turned(94), turned(55), 0.23
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.vertices = ball.vertices * [1, 0.8, 0.6] + [0.1, 0, 0.2]
+    points, frames = np.array(ball.vertices), []
+    for angle in (0.0, 2.0, 4.0):
+        z = np.array([np.cos(angle), 0, np.sin(angle)])
+        pose = affine(np.stack([np.cross([0, 1, 0], z), [0, 1, 0], z], axis=1), 4.5 * z)
+        frames.append({**GOOD, "file_path": "0.exr", "transform_matrix": (applied @ pose).tolist()})
+    write_exr(tmp_path / "0.exr", {"RGB": np.full((6, 8, 3), 0.5)})
+    (tmp_path / "transforms.json").write_text(
+        json.dumps({"applied_transform": applied[:3].tolist(), "frames": frames})
+    )
+    ball.vertices = scale * (points @ transform[:3, :3].T + transform[:3, 3])
+    (tmp_path / "exports").mkdir()
+    ball.export(tmp_path / "exports/scan.ply")
+    record = {"transform": transform[:3].tolist(), "scale": scale}
+    (tmp_path / "exports/dataparser_transforms.json").write_text(json.dumps(record))
+    source = read_transforms(tmp_path / "transforms.json", original_world=original)
+    options = ImportOptions(mesh=tmp_path / "exports/scan.ply")
+    notes = import_capture(source, tmp_path / "capture", options)
+    assert sum("(scale 4.35). If it was there already, remove this file." in n for n in notes) == 1
+    wanted = points if original else points @ applied[:3, :3].T + applied[:3, 3]
+    moved = read_ply(tmp_path / "capture/mesh.ply")
+    distance = np.linalg.norm(moved.positions[:, None] - wanted, axis=2).min(axis=0)
+    np.testing.assert_allclose(distance, 0, atol=1e-5)
+    cross, away = moved.crosses, moved.positions[moved.faces[:, 0]] - wanted.mean(axis=0)
+    assert ((cross * away).sum(axis=1) > 0).all()
+
+    ball.vertices = wanted  # exported with --save-world-frame
+    ball.export(tmp_path / "exports/scan.ply")
+    notes = import_capture(source, tmp_path / "again", options)
+    assert any("not used, as the mesh is in the world of the poses without" in n for n in notes)
+    kept = read_ply(tmp_path / "again/mesh.ply").positions
+    np.testing.assert_allclose(
+        [kept.min(0), kept.max(0)], [wanted.min(0), wanted.max(0)], atol=1e-5
+    )
+
+
+def test_a_scale_that_nerfstudio_applied(tmp_path):
+    """``scale`` of dataparser_transforms.json contains it; --original-world cannot undo it."""
+    path = tmp_path / "t.json"
+    path.write_text(json.dumps({"applied_scale": 5.0, "frames": [GOOD]}))
+    source = read_transforms(path)
+    assert "applied_transform or applied_scale" in source.notes[0]
+    (tmp_path / "d.json").write_text(json.dumps({"transform": np.eye(4)[:3].tolist(), "scale": 2}))
+    matrix = read_normalisation(tmp_path / "d.json", source.applied)
+    np.testing.assert_allclose(matrix, np.diag([2.5, 2.5, 2.5, 1]))
+    with pytest.raises(OptionError, match="an applied_scale of 5, which --original-world does not"):
+        read_transforms(path, original_world=True)
+    for bad in (0, -1, "wide", [], float("nan")):
+        path.write_text(json.dumps({"applied_scale": bad, "frames": [GOOD]}))
+        with pytest.raises(CaptureError, match="t.json: no poses: applied_scale must be a number"):
+            read_transforms(path)
+
+
+@pytest.mark.parametrize("change", [
+    {"scale": 0}, {"scale": "x"}, {"transform": [[1, 0], [0, 1]]}, {"scale": float("inf")},
+    {"transform": np.diag([1.0, 2, 1])[:, [0, 1, 2, 2]].tolist()}, {"transform": None},
+])  # fmt: skip
+def test_a_damaged_normalisation_is_named(tmp_path, change):
+    path = tmp_path / "dataparser_transforms.json"
+    path.write_text(json.dumps({"transform": np.eye(4)[:3].tolist(), "scale": 1, **change}))
+    with pytest.raises(CaptureError, match=r"dataparser_transforms.json: .*; copy it again, or"):
+        read_normalisation(path, AppliedWorld(np.eye(4)))
 
 
 def test_a_scale_in_a_pose_is_dropped_and_a_mirror_refused(tmp_path):

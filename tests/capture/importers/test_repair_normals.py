@@ -246,19 +246,15 @@ def test_a_correction_that_is_asked_for_wins(tmp_path, inside_out):
 
 
 def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
-    """A closed mesh in mm with poses in m is not flipped: its volume is positive."""
+    """A closed mesh in cm with poses in m is not flipped."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=100.0)
     given = source_of(tmp_path / "given", ball, around())
     notes = import_capture(given, tmp_path / "capture")
-    sentence = (
-        "mesh.ply: 100% of its visible area are back faces, where nothing is estimated; it is "
-        "closed, so the cameras are inside: check that mesh and poses have the same unit "
-        "(--mesh-scale)."
-    )
+    sentence = "mesh and poses have different units; import with --mesh-scale 0.01."
     assert any(note.endswith(sentence) for note in notes)
     assert not any("flipped" in note for note in notes)
     assert outwardness(tmp_path / "capture") > 0.2
-    words = "Shape 'object': 100% .*it is closed, so the cameras are inside: check that mesh and"
+    words = f"Shape 'object': .* cameras are inside the bounding box .*{sentence}"
     with pytest.warns(svu.SvuWarning, match=words):
         svu.load_capture(tmp_path / "capture")
     notes = import_capture(given, tmp_path / "capture", ImportOptions(mesh_scale=0.01))
@@ -266,6 +262,24 @@ def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
     turned = ImportOptions(fixes=("mesh-inside-out",))
     import_capture(given, tmp_path / "capture", turned)
     assert outwardness(tmp_path / "capture") < -0.2
+
+
+@pytest.mark.parametrize("scale", [10.0, 100.0, 1000.0])
+def test_a_scan_without_bottom_in_another_unit_is_not_flipped(tmp_path, scale):
+    """From inside, all of an open mesh shows its back; its triangles are right all the same."""
+    mesh = open_vase()
+    mesh.vertices *= scale
+    given = source_of(tmp_path / "given", mesh, around())
+    notes = import_capture(given, tmp_path / "capture")
+    assert sum(f"import with --mesh-scale {1 / scale:g}." in note for note in notes) == 1
+    assert not any("flipped" in note for note in notes)
+    assert outwardness(tmp_path / "capture") > 0.2 * scale
+    right = import_capture(given, tmp_path / "right", ImportOptions(mesh_scale=1 / scale))
+    assert not any("mesh-scale" in note or "flipped" in note for note in right)
+    assert svu.load_capture(tmp_path / "right").warnings == ()
+    twice = import_capture(given, tmp_path / "twice", ImportOptions(mesh_scale=10.0))
+    if scale < 1000:  # 1e4 is no usual factor
+        assert any(f"import with --mesh-scale {1 / scale:g}." in note for note in twice)
 
 
 @pytest.mark.parametrize(("change", "outside"), [

@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING
 
 import scipy
 
-from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, is_model, read_model
+from svu_mi.capture.importers.colmap.sparse_model import (
+    ColmapCamera,
+    Pose,
+    is_model,
+    read_model,
+    read_points,
+)
 from svu_mi.capture.importers.source import OPENCV, Frame, Source
 from svu_mi.capture.importers.source_files import find_folder, find_mask, missing_folder, safe_path
 from svu_mi.capture.sensors import affine
@@ -80,7 +86,12 @@ def read(path: Path, options: ReadOptions) -> Source:
             lens=lens,
         ))  # fmt: skip
     return Source(
-        format="colmap", root=path, frames=frames, camera_axes=OPENCV, notes=list(_notes(project))
+        format="colmap",
+        root=path,
+        frames=frames,
+        camera_axes=OPENCV,
+        points=read_points(project.model),
+        notes=list(_notes(project)),
     )
 
 

@@ -13,6 +13,7 @@ import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,9 @@ COEFFICIENTS = {
 CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
 LONGEST_NAME = 512  # bytes
+TRACK = 8  # bytes of an image of a point in space
 POINT = 24  # bytes of a point in an image: x, y and the number of the point in space
+MOST_POINTS = 20_000  # points that are read, for the extent of the scene
 UNIT = 1e-2  # tolerance of the norm of a quaternion
 
 
@@ -127,6 +130,16 @@ def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[Pose]]:
             raise CaptureError(f"{label}: occurs twice; export the model again.")
         names.add(view.name)
     return cameras, sorted(views, key=lambda view: view.name)
+
+
+def read_points(folder: Path) -> np.ndarray | None:
+    """Return the first reconstructed points (P, 3); None without points, or if damaged."""
+    read = _read_points if (folder / "points3D.bin").is_file() else _parse_points
+    try:
+        points = np.array(list(read(folder)), np.float64)
+    except (OSError, ValueError):
+        return None
+    return points if points.shape[1:] == (3,) and np.isfinite(points).all() else None
 
 
 def write_model(folder: Path, cameras: Mapping[int, ColmapCamera], views: Sequence[Pose]) -> None:
@@ -238,6 +251,24 @@ def _count(records: _BinaryReader, path: Path) -> int:
     (count,) = records.take("Q")
     require_views(count, f"{path}: {path.stem}", CaptureError)
     return int(count)
+
+
+def _read_points(folder: Path) -> Iterator[tuple[float, ...]]:
+    path = folder / "points3D.bin"
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        records = _BinaryReader(data)
+        for _ in range(min(records.take("Q")[0], MOST_POINTS)):
+            _, *point = records.take("Q3d")
+            yield tuple(point)
+            _, _, _, _, seen = records.take("3BdQ")
+            records.skip(TRACK * seen)
+
+
+def _parse_points(folder: Path) -> Iterator[tuple[float, ...]]:
+    with (folder / "points3D.txt").open(encoding="utf-8") as lines:
+        for line in islice(filter(_has_content, lines), MOST_POINTS):
+            _, *point = line.split(maxsplit=4)[:4]
+            yield tuple(map(float, point))
 
 
 def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:

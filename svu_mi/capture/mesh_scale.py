@@ -1,0 +1,115 @@
+"""Meshes in another unit than the poses, detected by what the cameras around them show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import film_size, projected
+from svu_mi.core.arrays import evenly_spaced
+
+# Quotients of usual units, and of wrong conversions: mm, cm, m, km, inch.
+RATIOS = (10.0, 25.4, 100.0, 1000.0)
+FACTORS = tuple(1 / ratio for ratio in RATIOS) + RATIOS
+VERTICES, VIEWS = 400, 16  # sample sizes
+INSIDE = 0.5  # share of cameras in the bounding box of the mesh that is suspicious
+HIDDEN = 0.25  # share of visible vertices below which a mesh is not framed by its cameras
+FRAMED = 0.8  # share of visible vertices from which it is
+TINY, SMALL, LARGE = 0.03, 0.1, 1.3  # extent in the photographs, relative to their sides
+APART = 6.0  # ratio of bounding boxes of points and mesh that is suspicious
+
+
+@dataclass(frozen=True)
+class WrongScale:
+    """Evidence for another unit, and the factor of the mesh that corrects it; None if unknown."""
+
+    problem: str
+    factor: float | None
+
+    def sentence(self, imported: float | None) -> str:
+        """Return the problem and its remedy.
+
+        ``imported`` is the scale that the mesh was imported with; None for a Mitsuba scene.
+        """
+        if self.factor is None:
+            return f"{self.problem}: check that mesh and poses have one unit and one origin."
+        remedy = f"scale the shape by {self.factor:.4g}"
+        if imported is not None:
+            remedy = f"import with --mesh-scale {self.factor * imported:.4g}"
+        return f"{self.problem}: mesh and poses have different units; {remedy}."
+
+
+def wrong_scale(
+    positions: np.ndarray, sensors: Sequence[Any], points: np.ndarray | None = None
+) -> WrongScale | None:
+    """Compare the unit of a mesh with that of its cameras; return None without contradiction.
+
+    Args:
+        positions: (N, 3) vertices of the mesh.
+        sensors: Cameras around the object.
+        points: (P, 3) reconstructed points of the object and its surroundings, if available.
+    """
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    width = float(np.linalg.norm(high - low))
+    if not sensors or not 0 < width < np.inf:
+        return None
+    eyes = np.array([to_world(sensor)[:3, 3] for sensor in sensors])
+    inside = int(((eyes > low) & (eyes < high)).all(axis=1).sum())
+    some = [sensors[view] for view in evenly_spaced(len(sensors), VIEWS)]
+    vertices = positions[evenly_spaced(len(positions), VERTICES)]
+    share, size = framing(vertices, some)
+    ratio = 1.0 if points is None else _ratio_of_points(points, width)
+    if inside >= INSIDE * len(sensors) and share < HIDDEN:
+        distance = float(np.median(np.linalg.norm(eyes - (low + high) / 2, axis=1)))
+        problem = (
+            f"{inside} of {len(sensors)} cameras are inside the bounding box of the mesh, "
+            f"{distance:.3g} from its centre, with a diagonal of {width:.3g}"
+        )
+    elif max(ratio, 1 / ratio) > APART and (share < HIDDEN or size < SMALL):
+        problem = (
+            f"the bounding box of COLMAP's points is {ratio:.2g} times as large as that of the mesh"
+        )
+    elif size < TINY:
+        problem = f"the mesh covers {size:.1g} of the width of the photographs"
+    else:
+        return None
+    return WrongScale(problem, _best_factor(vertices, some, None if points is None else ratio))
+
+
+def _best_factor(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> float | None:
+    """Return the usual factor with which the cameras frame the mesh best."""
+    sizes = {}
+    for factor in FACTORS:
+        share, size = framing(vertices * factor, sensors)
+        if share >= FRAMED and SMALL <= size <= LARGE:
+            sizes[factor] = size
+    if ratio is None:
+        return max(sizes, key=sizes.__getitem__, default=None)
+    return min(sizes, key=lambda factor: abs(np.log(factor / ratio)), default=None)
+
+
+def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float]:
+    """Return the mean share of visible vertices, and the median extent relative to the film.
+
+    ``vertices`` are (N, 3) positions.
+    """
+    shares, sizes = [], []
+    for sensor in sensors:
+        film = np.array(film_size(sensor))
+        pixels, depth = projected(sensor, vertices)
+        ahead = depth > 0
+        shares.append((ahead & (pixels > 0).all(axis=1) & (pixels < film).all(axis=1)).mean())
+        if ahead.any():
+            sizes.append((np.ptp(pixels[ahead], axis=0) / film).max())
+    return float(np.mean(shares)), float(np.median(sizes)) if sizes else np.inf
+
+
+def _ratio_of_points(points: np.ndarray, width: float) -> float:
+    """Return the diagonal of the points' bounding box, without outliers, relative to the mesh."""
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    return diagonal / width if 0 < diagonal < np.inf else 1.0

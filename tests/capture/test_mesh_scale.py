@@ -1,0 +1,60 @@
+"""Meshes in another unit than the poses: found by what the cameras around them show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.helpers import ball
+
+from svu_mi.capture.mesh import make_mesh
+from svu_mi.capture.mesh_scale import FACTORS, wrong_scale
+from svu_mi.capture.sensors import sphere_sensors
+
+
+@pytest.fixture(scope="module")
+def sensors():
+    return sphere_sensors(make_mesh("ball", ball()), 12, (48, 36))
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+@pytest.mark.parametrize("place", [[0, 0, 0], [0.2, -0.1, 0.1]])
+def test_the_factor_of_usual_units_is_found(sensors, factor, place):
+    """A ball of radius 1, seen from 3.6 radii, in mm, cm, inches ... instead of metres."""
+    positions = ball().positions + place
+    assert wrong_scale(positions, sensors) is None
+    if factor > 1 and factor < 30:  # 0.1 and 0.04 times the ball: small, but possible
+        points = np.random.default_rng(5113).normal(size=(300, 3))  # about 3 wide
+        wrong = wrong_scale(positions / factor, sensors, points)
+    else:
+        wrong = wrong_scale(positions / factor, sensors)
+    assert wrong is not None and wrong.factor == pytest.approx(factor)
+    assert wrong.sentence(2.0).endswith(f"import with --mesh-scale {2 * factor:.4g}.")
+    assert wrong.sentence(None).endswith(f"scale the shape by {factor:.4g}.")
+
+
+def test_points_of_the_surroundings_do_not_count(sensors):
+    """A room of 40 x 40 x 40 around a ball that the cameras frame."""
+    points = np.random.default_rng(881).uniform(-20, 20, (500, 3))
+    assert wrong_scale(ball().positions, sensors, points) is None
+
+
+def test_cameras_in_a_mesh_of_their_surroundings_are_no_mistake(sensors):
+    """An object on a ground of 30 x 30 with a lamp above: the cameras are in its bounding box."""
+    x, y = np.meshgrid(np.linspace(-2, 2, 30), np.linspace(-2, 2, 30))
+    ground = np.stack([x.ravel(), np.full(x.size, -1.0), y.ravel()], axis=1)
+    corners = [[-15, -5, -15], [15, 9, 15]]
+    assert wrong_scale(np.concatenate([ball().positions, ground, corners]), sensors) is None
+
+
+def test_an_unknown_factor_is_not_made_up(sensors):
+    wrong = wrong_scale(7000 * ball().positions + [3e4, 0, 0], sensors)
+    assert wrong is None  # another origin: the cameras are not in the box
+    wrong = wrong_scale(5e5 * ball().positions, sensors)
+    assert wrong is not None and wrong.factor is None
+    assert wrong.sentence(1.0).endswith("check that mesh and poses have one unit and one origin.")
+
+
+@pytest.mark.parametrize("positions", [np.zeros((3, 3)), ball().positions[:1]])
+def test_a_mesh_without_extent_has_no_unit(sensors, positions):
+    assert wrong_scale(positions, sensors) is None
+    assert wrong_scale(ball().positions, []) is None
