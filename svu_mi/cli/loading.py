@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import BaseCommand
-from svu_mi.core.memory import Need, Sizes
+from svu_mi.core.memory import Need, Sizes, search_bytes
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from svu_mi.geometry.texels import Texels
     from svu_mi.posterior.estimate import Estimate
 
-EQUATIONS = 26  # six 3 N x 3 N matrices, in units of the memory of one texel-cell pair
 NeedFunc = Callable[[Sizes], Need]
 
 
@@ -193,12 +192,10 @@ def require_memory(progress: Progress, label: str, need: Need) -> None:
 
 def light_search_need(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
     """Return the memory that an estimate of the light needs."""
-    cells = max(cells for cells, _ in options.depths)
-    # With few texels, the normal equations need more memory than the texel-cell pairs.
-    equations = EQUATIONS * cells**2 // max(len(sizes.photographs), 1)
-    looks = max(options.texels * cells, equations)
+    cells, texels = max(cells for cells, _ in options.depths), options.texels
+    search = search_bytes(texels * len(sizes.photographs), texels, cells)  # if all are seen
     # No statistics are gathered, so texels need as little as in the spectrum model.
-    return Need("light", sizes, resolution, looks=looks, model="spectrum")
+    return Need("light", sizes, resolution, search=search, model="spectrum")
 
 
 def with_light_search(need: NeedFunc) -> NeedFunc:

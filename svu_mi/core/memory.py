@@ -2,8 +2,8 @@
 
 ``COSTS`` and ``MODELS`` are fitted to measured peaks of whole processes: vases with 24 to 60
 photographs of 64^2 to 512^2 pixels, and grids of 64^2 to 1024^2 texels, nearly all on charts.
-Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels. In the tests, no
-command exceeds its estimate by more than 10 %.
+Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels. No
+command exceeds its estimate (``tests/support/announced.py``).
 """
 
 from __future__ import annotations
@@ -48,7 +48,6 @@ class Cost:
         candidate: bytes per candidate view of guidance.
         film: bytes per pixel of the largest photograph, during rendering.
         light: bytes per pixel of the environment map; None if it is prefiltered (``light_bytes``).
-        look: bytes per combination of texel, photograph and light cell of a light estimate.
     """
 
     start: float
@@ -57,7 +56,6 @@ class Cost:
     candidate: float = 0
     film: float = 0
     light: float | None = None
-    look: float = 0
 
 
 COSTS = {
@@ -72,7 +70,7 @@ COSTS = {
     "render": Cost(260e6, 45, film=100, light=66),
     "import": Cost(260e6, 64, light=66),
     "export": Cost(260e6, 0, texel=540),
-    "light": Cost(350e6, 20, look=17),
+    "light": Cost(370e6, 20),
 }
 # Bytes per texel, by preset, and for power spectra, which have no preset.
 MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
@@ -90,6 +88,9 @@ AT_A_TIME = 0.25  # share of the free memory for photographs that are decoded in
 KEPT_NODE = 180  # bytes per pixel of an environment map, up to KEPT_NODES
 NODE = 80  # bytes per further pixel of a larger map, which is averaged
 KEPT_NODES = 2048 * 1025
+# Bytes of an estimate of the light: per sample; per sample and cell; per texel and cell; and per
+# two cells, for equations while they are made, and for their inverse.
+SAMPLE, PAIR, OF_TEXEL, EQUATIONS, INVERSE = 2300, 13, 60, 180, 290
 # Advice by command; for the others it is ``svu import --shrink``, and ``--resolution``.
 FEWER_PIXELS = {
     "render": "rendering at most {} pixels per film",
@@ -137,7 +138,7 @@ class Need:
         resolution: (width, height) of the texel grid; (0, 0) without one.
         model: key of ``MODELS``; empty without an estimate.
         candidates: number of candidate views of guidance.
-        looks: number of texels times number of light cells of a light estimate.
+        search: bytes for the estimate of a light (``search_bytes``).
     """
 
     command: str
@@ -145,7 +146,7 @@ class Need:
     resolution: Size = (0, 0)
     model: str = ""
     candidates: int = 0
-    looks: int = 0
+    search: float = 0
 
     @property
     def bytes(self) -> float:
@@ -153,9 +154,8 @@ class Need:
         cost, light = COSTS[self.command], light_bytes(self.sizes.light)
         if cost.light is not None:
             light = cost.light * _pixels(self.sizes.light)
-        looks = cost.look * self.looks * len(self.sizes.photographs)
         photographs, texels = self._parts()
-        work = cost.candidate * self.candidates + looks + texels
+        work = cost.candidate * self.candidates + self.search + texels
         return cost.start + light + photographs + max(work, self._reading())
 
     def _reading(self) -> float:
@@ -251,6 +251,12 @@ def light_bytes(size: Size) -> float:
     """Return the bytes of an environment map of (width, height) pixels."""
     nodes = _pixels(size)
     return KEPT_NODE * min(nodes, KEPT_NODES) + NODE * max(nodes - KEPT_NODES, 0)
+
+
+def search_bytes(samples: int, texels: int, cells: int) -> float:
+    """Return the bytes for the estimate of a light; a texel costs as much as four samples."""
+    matrices = PAIR * samples * cells + OF_TEXEL * texels * cells + EQUATIONS * cells**2
+    return SAMPLE * (samples + 4 * texels) + max(matrices, INVERSE * cells**2)
 
 
 def require_start() -> None:

@@ -65,7 +65,7 @@ def of_oracle(samples: TexelSamples, materials: Materials, number: int) -> np.nd
 
 
 @pytest.mark.parametrize("number", [64, 700])
-def test_transport_is_that_of_the_equations(number):
+def test_transport_is_that_of_the_equations(number, monkeypatch):
     samples, materials = made_up(12, 5)
     light = np.exp(smooth_light(number))
     truth = np.einsum("snc,nc->sc", of_oracle(samples, materials, number), light)
@@ -73,6 +73,9 @@ def test_transport_is_that_of_the_equations(number):
     np.testing.assert_allclose(reflected(transport, light, materials), truth, rtol=1e-4)
     K = transport.matrix(materials).astype(np.float64)
     np.testing.assert_allclose(np.einsum("csn,nc->sc", K, light), truth, rtol=1e-4)
+    monkeypatch.setattr("svu_mi.calibration.light.light_transport.LANES", 7 * number)  # of 60
+    with_spare = transport.matrix(materials, spare=2)
+    assert (with_spare[..., :number] == K).all() and not with_spare[..., number:].any()
 
 
 def test_light_that_moves_is_that_of_turned_cameras():

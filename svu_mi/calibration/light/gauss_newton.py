@@ -109,18 +109,18 @@ def normal_equations(
     # Use the shared prior, as independent uncertain texels would bias the light.
     materials = materials_of(with_empirical_prior(posterior))
     slopes, predicted = _linearized(transport, light, materials)
+    views = 0 if gains is None else len(gains)
     if priors is None:
-        J = np.zeros((3, samples.count, 0), np.float32)
+        J = np.zeros((3, samples.count, views), np.float32)
         matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
     else:
-        J = transport.matrix(materials)
-        J *= light.T[:, None].astype(np.float32)
-        predicted = J.sum(axis=2).T.astype(np.float64)
+        J = transport.matrix(materials, views)
+        of_cells = J[..., : transport.number]
+        of_cells *= light.T[:, None].astype(np.float32)
+        predicted = of_cells.sum(axis=2).T.astype(np.float64)
         matrix, gradient = priors.precision_and_gradient(np.log(light))
     if gains is not None:
-        by_gain = np.zeros((3, samples.count, len(gains)), np.float32)
-        by_gain[:, np.arange(samples.count), samples.view] = predicted.T
-        J = np.concatenate([J, by_gain], axis=2)
+        J[:, np.arange(samples.count), samples.view - views] = predicted.T
         matrix, gradient = _with_gains(matrix, gradient, gains)
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
     root, off = np.sqrt(w), samples.radiance - predicted

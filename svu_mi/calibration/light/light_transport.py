@@ -31,6 +31,7 @@ from svu_mi.statistics.statistics import Statistics
 
 WIDENED = 0.55  # widening of lobes in cell radii, added in quadrature
 PARTS = 3  # specular columns p, q, d
+LANES = 2**22  # pairs of samples and cells that are computed at a time, 50 MB
 HEAT, COOLING = 12.0, 0.6  # initial factor of the overdispersion, and its decay
 
 
@@ -196,24 +197,30 @@ class Transport:
         e = a + r * b
         return Columns(*(np.moveaxis(x, -1, 0) for x in (e, *np.moveaxis(specular, 1, 0))))
 
-    def matrix(self, materials: Materials) -> np.ndarray:
-        """Return K of ``r = K L`` per channel, (3, S, N) float32."""
-        lanes = dr.arange(mi.UInt32, self.samples.count * self.number)
-        lane, cell = lanes // self.count, lanes % self.count
+    def matrix(self, materials: Materials, spare: int = 0) -> np.ndarray:
+        """Return K of ``r = K L`` per channel, (3, S, N + spare) float32, 0 in spare columns."""
+        values = [materials.roughness, *materials.mixed.T, *materials.color.T]
+        of_texels = [to_drjit(mi.Float, value.astype(np.float32)) for value in values]
+        rows = np.zeros((3, self.samples.count, self.number + spare), np.float32)
+        step = max(LANES // self.number, 1)
+        for begin in range(0, self.samples.count, step):
+            block = rows[:, begin : begin + step, : self.number]
+            channels = self._rows(of_texels, begin, block.shape[1])
+            block[:] = np.reshape([channel.numpy() for channel in channels], block.shape)
+        return rows
+
+    def _rows(self, of_texels: list[Any], begin: int, count: int) -> list[Any]:
+        """Return ``count`` rows of K per channel, from sample ``begin``."""
+        lanes = dr.arange(mi.UInt32, count * self.number)
+        lane, cell = lanes // self.count + dr.opaque(mi.UInt32, begin), lanes % self.count
         texel = dr.gather(mi.UInt32, self.lanes[0], lane)
-
-        def of_texel(values: np.ndarray) -> Any:
-            return dr.gather(mi.Float, to_drjit(mi.Float, values.astype(np.float32)), texel)
-
-        r, mixing = of_texel(materials.roughness), mixture(*map(of_texel, materials.mixed.T))
+        r, *mixed = (dr.gather(mi.Float, values, texel) for values in of_texels)
+        mixing, color = mixture(*mixed[:-3]), mixed[-3:]
         (a, b), fresnel, (lobe,) = self._reflected(lane, cell, [alpha_from_roughness(r)])
         parts = columns(dr.fma(r, b, a), *(lobe * part for part in fresnel))
-        channels = [dot(mixing.at(c), parts) for c in map(of_texel, materials.color.T)]
+        channels = [dot(mixing.at(c), parts) for c in color]
         dr.eval(channels)
-        rows = np.empty((3, self.samples.count, self.number), np.float32)
-        for row, values in zip(rows, channels, strict=True):
-            row.ravel()[:] = values.numpy()
-        return rows
+        return channels
 
 
 def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
