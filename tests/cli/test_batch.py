@@ -30,6 +30,7 @@ from svu_mi.cli.batch.child_process import end_with_parent
 from svu_mi.cli.batch.runner import (
     BatchRunner,
     CommandPool,
+    Outcome,
     ProcessResult,
     last_sentence,
     work_on_cluster,
@@ -436,6 +437,17 @@ def test_page_links_current_results(shelf_of, tmp_path):
     (out / "a" / "report.html").unlink()
     assert (out / "a" / "asset" / "asset.json").is_file()
     assert linked(BatchRunner(output=out)) == list(STEPS)
+
+
+def test_table_of_results_has_a_row_per_capture(tmp_path):
+    figures = {"seen": 0.98765, "entropy": 0.5, "known": 0.25}
+    good = Outcome("b", tmp_path / "b", seconds=12.34, peak=1_234_000_000, figures=figures)
+    write_index(tmp_path, [good, Outcome("a", tmp_path / "a", "entropy: no light, no luck")])
+    assert (tmp_path / "index.csv").read_text().splitlines() == [
+        "capture,seen,entropy,known,seconds,peak_gb,problem",
+        'a,,,,0.0,0.00,"entropy: no light, no luck"',
+        "b,0.9877,0.5000,0.2500,12.3,1.23,",
+    ]
 
 
 def test_second_worker_waits_and_reuses_results(shelf_of, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import struct
 import time
@@ -89,6 +90,14 @@ def test_sensors_are_counted_wherever_they_are_and_nowhere_else(tmp_path):
     (tmp_path / "more.xml").write_text(more, encoding="utf-16")
     path = write_scene(tmp_path, extra='<include filename="more.xml"/>')
     with pytest.raises(SceneError, match="sensors: at most 10000 are supported, got 20003"):
+        load_scene(path)
+
+
+def test_a_scene_of_more_than_64_mib_is_refused_unread(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.touch()
+    os.truncate(path, 2**26 + 1)
+    with pytest.raises(SceneError, match="has more than 64 MiB .*; split it by <include>"):
         load_scene(path)
 
 

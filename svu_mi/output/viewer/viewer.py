@@ -23,7 +23,7 @@ from svu_mi.output.interval_summary import Intervals
 from svu_mi.output.object_views import DIRECTION, Axis, front_and_right, up_direction
 from svu_mi.output.style import MARK
 from svu_mi.output.surface_maps import surface_maps
-from svu_mi.output.viewer.access_control import require_viser, serve, stop
+from svu_mi.output.viewer.access_control import serve, stop
 from svu_mi.output.viewer.picking import Pick, Picker, draw_pick, draw_scale, texel_markdown
 from svu_mi.output.viewer.viser_mesh import (
     LIGHT_STRENGTH,
@@ -74,7 +74,6 @@ class Viewer:
         port: int = 8080,
         up: Axis | None = None,
     ) -> None:
-        require_viser()  # fail early
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
         intervals = Intervals(estimate.posterior)
         field = None if recovered is None else field_of_textures(recovered, estimate, capture.mesh)

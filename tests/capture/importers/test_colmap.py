@@ -238,6 +238,16 @@ def test_a_text_model_of_two_lines_per_image(tmp_path):
     assert cameras == {1: CAMERA} and views[1] == VIEW and views[0].name == "a name.png"
 
 
+def test_a_quaternion_that_was_rounded_is_a_rotation(tmp_path):
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    put_text(tmp_path / "a", images=VIEW_LINE.replace("1 1 0", "1 0.996 0"))
+    assert read_colmap(tmp_path / "a").frames
+    put_text(tmp_path / "b", images=VIEW_LINE.replace("1 1 0", "1 0.98 0"))
+    with pytest.raises(CaptureError, match="a unit quaternion"):
+        read_colmap(tmp_path / "b")
+
+
 TEXT = {
     "too few numbers": ({"cameras": "1 PINHOLE 8 6 9 9 4"}, "PINHOLE has 4 parameters, not 3"),
     "an unknown model": ({"cameras": "1 GLASS 8 6 9 9 4 3"}, "camera model 'GLASS' is unknown"),

@@ -17,7 +17,7 @@ import svu_mi as svu
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
-from svu_mi.capture.importers.repair_normals import CREASE, DENSE, repair_normals
+from svu_mi.capture.importers.repair_normals import CREASE, repair_normals
 from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.load_warnings import back_face_share, faces_outward
 from svu_mi.capture.mesh import MeshArrays, arrays
@@ -135,10 +135,17 @@ def test_dense_parts_that_were_designed_stay_sharp(kind):
     }[kind]  # fmt: skip
     parts = [part.copy().apply_translation([3 * k, 0, 0]) for k in range(count)]
     given = shaken(trimesh.util.concatenate(parts), 1e-4)
-    assert len(given.faces) > DENSE
+    assert len(given.faces) > 5000
     mesh, notes = repair_normals(given, "part")
     assert notes == ["part: normals are computed; edges of more than 40 degrees are kept sharp."]
     assert corner_cosines(mesh).min() > 0.9
+
+
+def test_creases_of_few_triangles_are_no_noise():
+    mesh, notes = repair_normals(shaken(trimesh.creation.icosphere(subdivisions=4), 0.3), "stone")
+    assert len(mesh.faces) == 5120 and "too noisy" in notes[0]
+    _, notes = repair_normals(shaken(trimesh.creation.icosphere(subdivisions=3), 0.3), "stone")
+    assert notes == ["stone: normals are computed; edges of more than 40 degrees are kept sharp."]
 
 
 def test_right_normals_of_a_mesh_that_is_inside_out_are_kept():
