@@ -11,13 +11,14 @@ from svu_mi.capture.image_io import Transfer, decoded
 from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import CURVE, Rounding
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
+from svu_mi.errors import CaptureError
 
 SMALLEST = 1e-9  # quantisation step of a flat curve
 TYPICAL = 0.9  # quantile of all steps that is used as the typical one
 LARGEST = (1, 255, 65535)  # valid codes of white
-COLUMNS = "ENCODED LINEAR or ENCODED R G B"
-FIX = f"write one line {COLUMNS} for each sample of the curve"
+SAMPLE = {"sample": Field(NUMBER, (Axis("numbers", 2, 4),), 0, np.finfo(float).max)}
+FIX = "write one line ENCODED LINEAR or ENCODED R G B for each sample of the curve"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,9 +83,10 @@ def read_response(path: Path) -> CameraResponse:
     """
     rows: list[list[float]] = []
     for number, text in read_lines(path, "a response curve", FIX):
-        row = _numbers(text, f"{path}: line {number}")
-        _require_order(row, rows, f"{path}: line {number}")
-        rows.append(row)
+        try:
+            rows.append(_sample(text, rows))
+        except ValueError as error:
+            raise CaptureError(f"{path}: line {number}: {error}; {FIX}.") from error
     if len(rows) < 2:
         raise CaptureError(
             f"{path}: a response curve needs at least 2 samples, got {len(rows)}; {FIX}."
@@ -113,40 +115,15 @@ def read_response(path: Path) -> CameraResponse:
     return CameraResponse(name=path.name, codes=codes, values=values / values[-1])
 
 
-def _numbers(text: str, label: str) -> list[float]:
-    try:
-        row = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        row = []
-    if len(row) not in (2, 4):
-        raise CaptureError(
-            f"{label}: expected {COLUMNS}, got {excerpt(text, 60)!r}; begin comments with #."
-        )
-    if not all(0 <= number < np.inf for number in row):  # NaN fails, too
-        raise CaptureError(
-            f"{label}: numbers must be finite and not negative, got {excerpt(text, 60)!r}; "
-            "correct or remove the line."
-        )
-    return row
-
-
-def _require_order(row: list[float], before: list[list[float]], label: str) -> None:
-    """Raise CaptureError unless a sample is above the sample of the line before."""
-    if not before:
-        return
-    last = before[-1]
+def _sample(text: str, before: list[list[float]]) -> list[float]:
+    """Return the numbers of a line; raise ValueError unless they are above those before."""
+    row = [float(word) for word in text.replace(",", " ").split()]
+    checked({"sample": row}, SAMPLE)
+    last = before[-1] if before else [-1.0, *[0.0] * (1 if len(row) == 2 else 3)]
     if len(row) != len(last):
-        raise CaptureError(
-            f"{label}: has {len(row)} numbers, but earlier lines have {len(last)}; give one curve "
-            "for all channels, or three, in all lines."
-        )
+        raise ValueError(f"has {len(row)} numbers, not {len(last)}")
     if row[0] <= last[0]:
-        raise CaptureError(
-            f"{label}: the encoded value {row[0]:g} comes after {last[0]:g}, but must ascend; "
-            "sort the lines, and give each code once."
-        )
+        raise ValueError(f"the encoded value {row[0]:g} comes after {last[0]:g}, but must ascend")
     if any(value < earlier for value, earlier in zip(row[1:], last[1:], strict=True)):
-        raise CaptureError(
-            f"{label}: the linear value decreases with the code; correct the line, or smooth "
-            "the measurement."
-        )
+        raise ValueError("the linear value decreases with the code")
+    return row

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -14,8 +13,10 @@ from PIL import Image
 
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.importers.source_files import read_lines
-from svu_mi.errors import CaptureError
+from svu_mi.core.io.schema import NUMBER, Field, checked
+from svu_mi.errors import CaptureError, excerpt
 
+GAIN = {"gain": Field(NUMBER, (), 1e-30, 1e30)}
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
@@ -34,14 +35,14 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
     """
     gains = {}
     for number, text in read_lines(path, "a list of exposures", "write lines NAME GAIN"):
-        words = text.rsplit(maxsplit=1)
         label = f"{path}: line {number}"
         try:
-            gain = float(words[1])
-        except (IndexError, ValueError) as error:
-            found = " ".join(words)
-            raise CaptureError(f"{label}: expected NAME GAIN, got {found!r:.60}.") from error
-        gains[words[0].strip()] = _positive(gain, label)
+            name, gain = text.rsplit(maxsplit=1)
+            gains[name.strip()] = checked({"gain": float(gain)}, GAIN)["gain"]
+        except ValueError as error:
+            raise CaptureError(
+                f"{label}: expected NAME GAIN, got {excerpt(repr(text), 60)} ({excerpt(error)})."
+            ) from error
     counts = Counter(frame.image.name for frame in frames)
     changed = []
     for frame in frames:
@@ -71,17 +72,7 @@ def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
     return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
 
 
-def _positive(gain: float, label: str) -> float:
-    if not 0 < gain < math.inf:
-        raise CaptureError(
-            f"{label}: the exposure must be positive, got {gain:g}; give the factor that radiance "
-            "was multiplied by."
-        )
-    return gain
-
-
 def _exif_gain(path: Path) -> float:
-
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # relevant damage raises an error
@@ -90,8 +81,9 @@ def _exif_gain(path: Path) -> float:
         time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 1) or 1)
         speed = tags.get(ISO, 100)
         gain = time * float(speed[0] if isinstance(speed, tuple) else speed) / 100 / aperture**2
+        checked({"gain": gain}, GAIN)
     except Exception as error:  # Pillow's parsers raise any type
         raise CaptureError(
             f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
         ) from error
-    return _positive(gain, f"{path}: its EXIF data")
+    return gain

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source
+from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source, pixels
 from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.npz import read_foreign_array
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FILE, SUFFIX = "poses_bounds.npy", ".npy"
 IMAGES, MASKS = ("images",), ("masks", "mask")
 COLUMNS = 17  # of the table: a 3 x 5 matrix and two distances
-POSES = Field(NUMBER, (Axis("photographs", 1, MAX_VIEWS), COLUMNS))
+POSES = Field(NUMBER, (Axis("photographs", 1, MAX_VIEWS), COLUMNS), -LARGEST, LARGEST)
 LARGEST_FILE = 2**24  # bytes: ten times the poses of the most photographs
 
 
@@ -82,14 +82,7 @@ def _rows(file: Path) -> np.ndarray:
 
 def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:
     matrix = row[:15].reshape(3, 5)
-    if not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
-        raise CaptureError(f"{label}: a number is NaN, infinite or too large; export it again.")
     height, width, focal = map(float, matrix[:, 4])
-    if (height, width) != (round(height), round(width)):
-        raise CaptureError(
-            f"{label}: a photograph of {width:g} x {height:g} pixels; the last column must be "
-            "height, width and focal length, the first two whole numbers: export it again."
-        )
     return Frame(
         label=label,
         image=image,
@@ -97,5 +90,5 @@ def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame
         to_world=affine(matrix[:, :3], matrix[:, 3]) @ DOWN_RIGHT_BACK,
         focal=(focal, focal),
         center=(width / 2, height / 2),
-        size=(int(width), int(height)),
+        size=pixels((width, height)),
     )

@@ -14,10 +14,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, RIGID, Frame, Light, Source
+from svu_mi.capture.importers.source import (
+    ENVIRONMENT_AXES,
+    OPENCV,
+    RIGID,
+    Frame,
+    Light,
+    Source,
+    pixels,
+)
+from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.capture.sensors import affine
+from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import require_views
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
@@ -35,7 +45,6 @@ MESHES = ("prepared_mesh", "neus_mesh")
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl")
 STOPS = 64  # limit of the exposure, positive or negative
 LARGEST = 1e12  # limit of numbers in the text files
-LARGEST_TEXT = 2**16  # bytes
 RULES = (
     "The environment map of the benchmark is for debugging: results that use it must not be "
     "submitted. Its masks are approximate."
@@ -67,12 +76,7 @@ def read(path: Path, _: ReadOptions) -> Source:
     if not cameras:
         raise CaptureError(f"{inputs}: no camera_0000.txt, ...; copy the object again.")
     require_views(len(cameras), f"{inputs}: cameras", CaptureError)
-    (stops,) = _numbers(inputs / EXPOSURE, 1)
-    if abs(stops) > STOPS:
-        raise CaptureError(
-            f"{inputs / EXPOSURE}: the exposure must be within {STOPS} stops, got {stops:g}; copy "
-            "the file again."
-        )
+    (stops,) = _numbers(inputs / EXPOSURE, 1, STOPS)
     test = Path(os.path.normpath(inputs / ".."))
     names = [test / f"{stem}{suffix}" for stem in MESHES for suffix in MESH_SUFFIXES]
     return Source(
@@ -91,11 +95,6 @@ def _frame(camera: Path, gain: float) -> Frame:
     K, rotation, translation, size = values[:3], values[3:6], values[6], values[7]
     if np.abs(K[[0, 1, 2, 2], [1, 0, 0, 1]]).max() > 0 or K[2, 2] != 1:
         raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
-    if (size != np.floor(size)).any():
-        raise CaptureError(
-            f"{camera}: the size {size[0]:g} x {size[1]:g} must be two whole numbers of "
-            "pixels; copy the file again."
-        )
     try:
         to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
     except np.linalg.LinAlgError as error:
@@ -111,7 +110,7 @@ def _frame(camera: Path, gain: float) -> Frame:
         to_world=to_world,
         focal=(K[0, 0], K[1, 1]),
         center=(K[0, 2], K[1, 2]),
-        size=(int(size[0]), int(size[1])),
+        size=pixels(size[:2]),
         exposure=gain,
         transfer="gamma 2.2",
     )
@@ -131,16 +130,12 @@ def _light(test: Path) -> Light | None:
     return Light(path=test / ENVIRONMENT, to_world=rotation.T @ axes)
 
 
-def _numbers(path: Path, count: int) -> list[float]:
+def _numbers(path: Path, count: int, largest: float = LARGEST) -> list[float]:
     """Read numbers from a text file."""
     try:
-        with path.open(encoding="utf-8") as file:
-            numbers = [float(word) for word in file.read(LARGEST_TEXT).split()]
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not (np.abs(numbers) < LARGEST).all():  # NaN fails, too
-        wanted = "one number" if count == 1 else f"{count} numbers"
-        raise CaptureError(f"{path}: must hold {wanted}; copy the file again.")
-    return numbers
+        lines = read_lines(path, "a file of numbers", "copy it again")
+        words = [float(word) for _, text in lines for word in text.split()]
+        wanted = Field(NUMBER, (count,), -largest, largest)
+        return list(checked({"content": words}, {"content": wanted})["content"])
+    except ValueError as error:
+        raise CaptureError(f"{path}: {excerpt(error)}; copy the file again.") from error

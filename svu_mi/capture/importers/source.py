@@ -6,7 +6,7 @@ writers convert them back. No other module uses the tool's conventions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -121,6 +121,11 @@ class Frame:
             },
             self.label,
         )
+
+
+def pixels(sides: Iterable[float]) -> Any:
+    """Return whole numbers as integers, and others as they are, which ``Frame`` refuses."""
+    return tuple(int(side) if float(side).is_integer() else float(side) for side in sides)
 
 
 def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:

@@ -126,23 +126,23 @@ def test_an_object_is_found_from_any_of_its_folders(written):
 GOOD = "9 0 4\n0 9 3\n0 0 1\n1 0 0\n0 1 0\n0 0 1\n0 0 4\n8 6 3\n"
 CAMERA, EXPOSURE = "inputs/camera_0000.txt", "inputs/exposure.txt"
 BROKEN = {
-    "an exposure in words": ({EXPOSURE: "bright"}, "exposure.txt: must hold one number"),
-    "two exposures": ({EXPOSURE: "1 2"}, "exposure.txt: must hold one"),
-    "an endless exposure": ({EXPOSURE: "1e9"}, "within 64 stops, got 1e.09; copy"),
-    "half a camera": ({CAMERA: GOOD[:30]}, "camera_0000.txt: must hold 24"),
-    "a long camera": ({CAMERA: GOOD + "1"}, "must hold 24"),
-    "words in a camera": ({CAMERA: GOOD.replace("9", "nine")}, "must hold 24"),
-    "nan in a camera": ({CAMERA: GOOD.replace("0 0 4", "0 0 nan")}, "must hold 24"),
-    "bytes": ({CAMERA: "\udcff\udcfe"}, "must hold 24"),
+    "an exposure in words": ({EXPOSURE: "bright"}, "exposure.txt: could not convert .*bright"),
+    "two exposures": ({EXPOSURE: "1 2"}, "exposure.txt: content must be 1 num"),
+    "an endless exposure": ({EXPOSURE: "1e9"}, r"in \[-64, 64\], got 1000000000.0; copy"),
+    "half a camera": ({CAMERA: GOOD[:30]}, "camera_0000.txt: content must be 24"),
+    "a long camera": ({CAMERA: GOOD + "1"}, "24 numbers in .* a list of 25"),
+    "words in a camera": ({CAMERA: GOOD.replace("9", "nine")}, "could not convert"),
+    "nan in a camera": ({CAMERA: GOOD.replace("0 0 4", "0 0 nan")}, "must be 24 numbers .*nan"),
+    "bytes": ({CAMERA: "\udcff\udcfe"}, "not a file of numbers"),
     "skew": ({CAMERA: GOOD.replace("9 0 4", "9 1 4")}, "skew"),
     "a K of another kind": ({CAMERA: GOOD.replace("0 0 1\n1", "0 0 2\n1")}, "its K must"),
     "a mirror": ({CAMERA: GOOD.replace("0 1 0", "0 -1 0")}, "mirrored"),
     "no rotation": ({CAMERA: GOOD.replace("0 1 0", "0 0 0")}, "R is not a rotation"),
     "a broken size": (
         {CAMERA: GOOD.replace("8 6", "8.5 6")},
-        "8.5 x 6 .* whole numbers of pixels; copy",
+        "2 whole numbers .* pixels, got 8.5",
     ),
-    "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "must hold 24"),
+    "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "24 numbers .* 1e.300"),
     "a large size": (
         {CAMERA: GOOD.replace("8 6", "1e9 6")},
         "size must be 2 whole numbers in \[1, 65536\]",
@@ -150,7 +150,10 @@ BROKEN = {
     "no photograph": ({"inputs/image_0000.png": None}, "image_0000.png: no such photograph"),
     "no camera": ({CAMERA: None}, "no camera_0000.txt"),
     "no exposure": ({EXPOSURE: None}, "expected test/inputs/exposure.txt"),
-    "a map without its frame": ({"env.hdr": ""}, "world_to_env.txt: cannot be read"),
+    "a map without its frame": (
+        {"env.hdr": ""},
+        "env.txt: not a file of numbers that",
+    ),
     "a mirrored map": (
         {"env.hdr": "", "world_to_env.txt": "0 1 0 0 1 0 0 0 0 0 1 0 0 0 0 1"},
         "not a rotation",
