@@ -11,13 +11,13 @@ from typing import Any
 
 from svu_mi.capture.scene import check_sensor
 from svu_mi.capture.sensors import LARGEST, describe, make_sensor
-from svu_mi.core.io.files import is_temporary, read_json, write_json
+from svu_mi.core.io.files import is_temporary, read_json, refusing, write_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.output_folder import Draft, is_kept
 from svu_mi.core.io.provenance import RESULT, Entry, entry_of
 from svu_mi.core.io.schema import NAMES, NUMBER, OBJECT, SIMPLE, TEXT, WHOLE, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
@@ -94,14 +94,12 @@ def read(folder: Path) -> Description | None:
     record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
-    try:
+    with refusing(path, "render or import it again"):
         values = checked(record, CAPTURE)
-        scene = None if values["scene"] is None else (folder / values["scene"]).resolve()
+    scene = None if values["scene"] is None else folder / values["scene"]
+    with refusing(f"{path}: scene", "correct its path"):  # a circular link, a name too long
+        scene = None if scene is None else Path(os.path.realpath(scene))
         _ = scene is None or scene.is_file()
-    except ValueError as error:
-        raise CaptureError(f"{path}: {error}; render or import it again.") from error
-    except (OSError, RuntimeError) as error:  # a circular link, a name too long
-        raise CaptureError(f"{path}: the scene's path is invalid ({excerpt(error)}).") from error
     written = Entry.parse(record.get(RESULT))
     return Description(
         scene=scene,

@@ -12,6 +12,7 @@ import scipy
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
 from svu_mi.core.arrays import fibonacci
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
 from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
@@ -256,7 +257,7 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.
 
 def check_record(record: Any, label: str) -> None:
     """Raise if a sensor description is incomplete or invalid."""
-    try:
+    with refusing(label, "render or import it again"):
         checked(record, SENSOR)
         film, offset, size = (np.array(record[key], np.float64) for key in PIXELS)
         near, far = record["clip"]
@@ -270,5 +271,3 @@ def check_record(record: Any, label: str) -> None:
         for rule, holds in rules.items():
             if not holds:
                 raise ValueError(rule)
-    except ValueError as error:
-        raise CaptureError(f"{label}: {error}; render or import it again.") from error

@@ -129,7 +129,7 @@ def test_arrays_that_are_none_are_named(kept, changes, message):
     arrays = {**read_arrays(kept / "light.npz"), **changes}
     kept_ones = {name: value for name, value in arrays.items() if value is not None}
     write_arrays(kept / "light.npz", kept_ones)
-    with pytest.raises(CaptureError, match=rf"light\.npz: cannot be used \({message}"):
+    with pytest.raises(CaptureError, match=rf"light\.npz: {message}"):
         svu.load_light(kept)
 
 
@@ -139,14 +139,14 @@ def test_the_light_in_use_has_a_misfit(kept, misfit):
     arrays = read_arrays(kept / "light.npz")
     assert not arrays["moves"] and np.isnan(arrays["misfit"]).tolist() == [False, True]
     write_arrays(kept / "light.npz", {**arrays, "misfit": np.array(misfit)})
-    with pytest.raises(CaptureError, match=r"light\.npz: cannot be used \(.*misfit"):
+    with pytest.raises(CaptureError, match=r"light\.npz: .*misfit"):
         svu.load_light(kept)
 
 
 def test_a_cut_file_is_named(kept):
     path = kept / "light.npz"
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(CaptureError, match=r"light\.npz: cannot be used \(.*\); run svu light"):
+    with pytest.raises(CaptureError, match=r"light\.npz: .*; run svu light"):
         svu.load_light(kept)
 
 

@@ -118,7 +118,7 @@ def lined(data: bytes, draw: random.Random) -> bytes:
         case 2:
             lines[k], lines[j] = lines[j], lines[k]
         case _:
-            lines[k:k] = [lines[k]] * 5000
+            lines[k:k] = [lines[k]] * min(5000, LARGEST // (len(lines[k]) + 1))
     return b"\n".join(lines)
 
 

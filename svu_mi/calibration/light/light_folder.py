@@ -14,7 +14,7 @@ import svu_mi
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.core.io.exr import write_exr
-from svu_mi.core.io.files import write_json
+from svu_mi.core.io.files import refusing, write_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.core.io.output_folder import Draft, writing
@@ -151,16 +151,12 @@ def load_light(path: str | Path) -> LightEstimate:
             f"{path / MAP}: was changed since svu light wrote it; give this map itself, or run svu "
             "light again."
         )
-    try:
+    with refusing(path / ARRAYS, "run svu light again"):
         arrays = read_arrays(path / ARRAYS)
         estimate = _estimate_of(arrays)
         if str(arrays["run"]) != written.run:
             raise ValueError(f"it is from a different run than {RECORD}")
-        return estimate
-    except ValueError as error:
-        raise CaptureError(
-            f"{path / ARRAYS}: cannot be used ({error}); run svu light again."
-        ) from error
+    return estimate
 
 
 def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:

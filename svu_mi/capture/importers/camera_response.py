@@ -11,6 +11,7 @@ from svu_mi.capture.image_io import Transfer, decoded
 from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.capture.quantization import CURVE, Rounding
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
 from svu_mi.errors import CaptureError
 
@@ -83,10 +84,8 @@ def read_response(path: Path) -> CameraResponse:
     """
     rows: list[list[float]] = []
     for number, text in read_lines(path, "a response curve", FIX):
-        try:
+        with refusing(f"{path}: line {number}", FIX):
             rows.append(_sample(text, rows))
-        except ValueError as error:
-            raise CaptureError(f"{path}: line {number}: {error}; {FIX}.") from error
     if len(rows) < 2:
         raise CaptureError(
             f"{path}: a response curve needs at least 2 samples, got {len(rows)}; {FIX}."

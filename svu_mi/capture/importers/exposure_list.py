@@ -13,6 +13,7 @@ from PIL import Image
 
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.importers.source_files import read_lines
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.errors import CaptureError, excerpt
 
@@ -35,14 +36,9 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
     """
     gains = {}
     for number, text in read_lines(path, "a list of exposures", "write lines NAME GAIN"):
-        label = f"{path}: line {number}"
-        try:
+        with refusing(f"{path}: line {number}: {excerpt(repr(text), 60)}", "write NAME GAIN"):
             name, gain = text.rsplit(maxsplit=1)
             gains[name.strip()] = checked({"gain": float(gain)}, GAIN)["gain"]
-        except ValueError as error:
-            raise CaptureError(
-                f"{label}: expected NAME GAIN, got {excerpt(repr(text), 60)} ({excerpt(error)})."
-            ) from error
     counts = Counter(frame.image.name for frame in frames)
     changed = []
     for frame in frames:

@@ -26,6 +26,7 @@ from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Source
 from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
 from svu_mi.capture.sensors import affine
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.npz import read_foreign_arrays
 from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
@@ -80,7 +81,10 @@ def read(path: Path, options: ReadOptions) -> Source:
 
 def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
     """Return all ``world_mat``, and the common ``scale_mat`` or None."""
-    try:
+    fix = (
+        f"write the cameras again, with {WORLD}_0, {WORLD}_1, ... and all or none of {SCALE}_0, ..."
+    )
+    with refusing(file, fix):
         arrays = read_foreign_arrays(file, NUMBERED, LARGEST_FILE, 2 * MAX_VIEWS)
         kinds = (WORLD, SCALE) if any(name.startswith(SCALE) for name in arrays) else (WORLD,)
         count = max(sum(name.startswith(WORLD) for name in arrays), 1)
@@ -88,11 +92,6 @@ def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
         for name, matrix in arrays.items():
             if not np.allclose(matrix[3], [0, 0, 0, 1]):
                 raise ValueError(f"the last row of {name} must be 0 0 0 1")
-    except ValueError as error:
-        raise CaptureError(
-            f"{file}: {error}; write the cameras again, with {WORLD}_0, {WORLD}_1, ... and all or "
-            f"none of {SCALE}_0, {SCALE}_1, ...."
-        ) from error
     worlds = [arrays[f"{WORLD}_{k}"] for k in range(count)]
     if SCALE not in kinds:
         return worlds, None

@@ -17,6 +17,7 @@ import numpy as np
 from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source, pixels
 from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
 from svu_mi.capture.sensors import affine
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.npz import read_foreign_array
 from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
@@ -73,11 +74,9 @@ def read(path: Path, options: ReadOptions) -> Source:
 
 def _rows(file: Path) -> np.ndarray:
     """Return the table (N, 17)."""
-    try:
+    with refusing(file, "export them again"):
         table = {"poses": read_foreign_array(file, LARGEST_FILE)}
         return np.asarray(checked(table, {"poses": POSES})["poses"])
-    except ValueError as error:
-        raise CaptureError(f"{file}: {error}; export them again.") from error
 
 
 def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:

@@ -19,7 +19,7 @@ from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
 from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENGL, Frame, Source
 from svu_mi.capture.importers.source_files import relative_name, safe_path
-from svu_mi.core.io.files import read_json, write_json
+from svu_mi.core.io.files import read_json, refusing, write_json
 from svu_mi.core.io.schema import FLAG, ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, OptionError
@@ -119,10 +119,8 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
 def read_poses(path: Path) -> tuple[dict[str, Any], list[Any], AppliedWorld]:
     """Return the JSON object of a file, its frames, and the change of its world."""
     record = read_json(path)
-    try:
+    with refusing(f"{path}: no poses", "export them again"):
         known = checked(record, TRANSFORMS)
-    except ValueError as error:
-        raise CaptureError(f"{path}: no poses: {error}; export them again.") from error
     applied = AppliedWorld(_matrix(known["applied_transform"]), known["applied_scale"])
     return record, known["frames"], applied
 
@@ -164,17 +162,13 @@ def parse_frame(
     Paths are relative to ``root``, the pose is multiplied by ``before`` (4, 4) from the left, and
     ``usual`` is the size of a missing photograph.
     """
-    try:
+    with refusing(label, "a frame needs transform_matrix, w, h, and fl_x or camera_angle_x"):
         known = checked({**record, **given}, FRAME)
         image = _image_path(root, known["file_path"], label)
         size = width, height = _size(known, image, usual)
         fl_x, fl_y = _focal(known, "x", width), _focal(known, "y", height)
         if fl_x is None:
             raise ValueError("fl_x and camera_angle_x are missing")
-    except ValueError as error:
-        raise CaptureError(
-            f"{label}: {error}; a frame needs transform_matrix, w, h, and fl_x or camera_angle_x."
-        ) from error
     cx, cy, masked = known["cx"], known["cy"], known["mask_path"]
     with np.errstate(all="ignore"):  # the frame refuses infinite values
         return Frame(

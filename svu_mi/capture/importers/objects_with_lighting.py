@@ -25,9 +25,10 @@ from svu_mi.capture.importers.source import (
 )
 from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.capture.sensors import affine
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import require_views
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
@@ -132,10 +133,8 @@ def _light(test: Path) -> Light | None:
 
 def _numbers(path: Path, count: int, largest: float = LARGEST) -> list[float]:
     """Read numbers from a text file."""
-    try:
+    with refusing(path, "copy the file again"):
         lines = read_lines(path, "a file of numbers", "copy it again")
         words = [float(word) for _, text in lines for word in text.split()]
         wanted = Field(NUMBER, (count,), -largest, largest)
         return list(checked({"content": words}, {"content": wanted})["content"])
-    except ValueError as error:
-        raise CaptureError(f"{path}: {excerpt(error)}; copy the file again.") from error

@@ -21,6 +21,7 @@ from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, film_size, focal_length, make_sensor, principal_point
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
 from svu_mi.errors import CaptureError
 
@@ -82,15 +83,13 @@ class Frame:
     def __post_init__(self) -> None:
         """Raise CaptureError if numbers are out of range or the pose is not rigid."""
         object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
-        try:
+        with refusing(self.label, "correct it there"):
             checked({"size": self.size, "exposure": self.exposure}, CAMERA)
             relative = {
                 "focal length": [length / max(self.size) for length in self.focal],
                 "principal point": [c / n for c, n in zip(self.center, self.size, strict=True)],
             }
             checked(relative, LENS)
-        except ValueError as error:
-            raise CaptureError(f"{self.label}: {error}; correct it there.") from error
 
     @property
     def has_square_pixels(self) -> bool:

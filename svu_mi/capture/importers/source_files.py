@@ -10,6 +10,7 @@ from typing import Any
 
 from svu_mi.capture.image_io import SUFFIXES
 from svu_mi.core.identifiers import fits_file_name
+from svu_mi.core.io.files import refusing
 from svu_mi.errors import CaptureError, excerpt
 
 LONGEST_PATH = 2048  # bytes
@@ -108,14 +109,10 @@ def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:
     Files that are missing, larger than 16 MiB or not text raise CaptureError; its message contains
     ``what``, such as ``a list of exposures``, and the remedy ``fix``.
     """
-    try:
+    with refusing(f"{path}: not {what} that can be read", fix):
         if path.stat().st_size > LARGEST_TEXT:
-            raise CaptureError(f"{path}: too large for {what}, more than 16 MiB; {fix}.")
+            raise ValueError("more than 16 MiB")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        raise CaptureError(
-            f"{path}: not {what} that can be read ({excerpt(error)}); {fix}."
-        ) from error
     for number, line in enumerate(lines, 1):
         text = line.partition("#")[0].strip()
         if text:

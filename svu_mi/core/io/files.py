@@ -164,6 +164,15 @@ def may_hold(path: Path, size: int) -> bool:
     return size <= max(FREE, MAX_RATIO * path.stat().st_size)
 
 
+@contextlib.contextmanager
+def refusing(label: object, remedy: str) -> Iterator[None]:
+    """Turn errors of a reader into a CaptureError: ``LABEL: REASON; REMEDY.``"""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{label}: {excerpt(error, 300)}; {remedy}.") from error
+
+
 def read_json(path: Path) -> Any:
     """Read a JSON file.
 

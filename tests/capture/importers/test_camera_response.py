@@ -180,11 +180,11 @@ def refused(path, said) -> None:
 
 def test_files_that_are_no_text_are_a_sentence(tmp_path):
     path = tmp_path / "curve.txt"
-    refused(path, r"not a response curve that can be read .*; write one line ENCODED LINEAR or")
+    refused(path, r"not a response curve that can be read: .*; write one line ENCODED LINEAR or")
     Image.fromarray(random(8)).save(path, "png")
-    refused(path, r"not a response curve that can be read .*; write one line")
+    refused(path, r"not a response curve that can be read: .*; write one line")
     path.write_bytes(b"0 0\n1 1\n" + b"#" * 2**24)
-    refused(path, r"too large for a response curve, more than 16 MiB; write one line")
+    refused(path, r"not a response curve that can be read: more than 16 MiB; write one line")
 
 
 def test_response_beyond_single_precision_is_finite(tmp_path):

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.importers.lens_distortion import Lens
-from svu_mi.core.io.files import replacing
+from svu_mi.core.io.files import refusing, replacing
 from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, excerpt
 
@@ -46,6 +46,7 @@ CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
 LONGEST_NAME = 512  # bytes
 TRACK = 8  # bytes of an image of a point in space
+FIX = "export the model again"
 POINT = 24  # bytes of a point in an image: x, y and the number of the point in space
 MOST_POINTS = 20_000  # points that are read, for the extent of the scene
 UNIT = 1e-2  # tolerance of the norm of a quaternion
@@ -208,15 +209,6 @@ class _BinaryReader:
 
 
 @contextlib.contextmanager
-def _parser_errors(path: Path) -> Iterator[None]:
-    """Turn parser errors into a CaptureError that names the file."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        raise CaptureError(f"{path}: {excerpt(error)}; export the model again.") from error
-
-
-@contextlib.contextmanager
 def _records(path: Path) -> Iterator[_BinaryReader]:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         records = _BinaryReader(data)
@@ -227,7 +219,7 @@ def _records(path: Path) -> Iterator[_BinaryReader]:
 
 def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras, models = {}, list(PARAMETERS)
-    with _parser_errors(path), _records(path) as records:
+    with refusing(path, FIX), _records(path) as records:
         for _ in range(_count(records, path)):
             number, model, width, height = records.take("IiQQ")
             if not 0 <= model < len(models):
@@ -239,7 +231,7 @@ def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _read_views(path: Path) -> list[Pose]:
     views = []
-    with _parser_errors(path), _records(path) as records:
+    with refusing(path, FIX), _records(path) as records:
         for _ in range(_count(records, path)):
             _, *pose, camera = records.take("I7dI")
             views.append(Pose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
@@ -273,7 +265,7 @@ def _parse_points(folder: Path) -> Iterator[tuple[float, ...]]:
 
 def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
     cameras = {}
-    with _parser_errors(path), path.open(encoding="utf-8") as lines:
+    with refusing(path, FIX), path.open(encoding="utf-8") as lines:
         for line in filter(_has_content, lines):
             number, model, width, height, *values = _fields(line, CAMERA_FIELDS, -1)
             if model not in PARAMETERS:
@@ -286,7 +278,7 @@ def _parse_cameras(path: Path) -> dict[int, ColmapCamera]:
 
 def _parse_views(path: Path) -> list[Pose]:
     views = []
-    with _parser_errors(path), path.open(encoding="utf-8") as lines:
+    with refusing(path, FIX), path.open(encoding="utf-8") as lines:
         for line in filter(_has_content, lines):
             _, *fields, camera, name = _fields(line.strip(), VIEW_FIELDS, len(VIEW_FIELDS) - 1)
             if len(name) > LONGEST_NAME:
