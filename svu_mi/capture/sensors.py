@@ -21,15 +21,14 @@ LARGEST = 1e30  # largest number in a description; below the limit of single pre
 MAX_SIDE = 2**16  # largest width or height of a film, in pixels
 MAX_PIXELS = 2**30  # per photograph; kernels index its 3 values per pixel by 32 bits
 
+SIDES = Field(WHOLE, (2,), 1, MAX_SIDE, "pixels")
 SENSOR = {
     "to_world": Field(NUMBER, (4, 4), -LARGEST, LARGEST),
     "x_fov": Field(NUMBER, (), 1e-6, 180 - 1e-6, "degrees"),
     "principal_point_offset": Field(NUMBER, (2,), -LARGEST, LARGEST),
     "clip": Field(NUMBER, (2,), 1 / LARGEST, LARGEST),
-    "film": Field(WHOLE, (2,), 1, MAX_SIDE, "pixels"),
-    "crop_offset": Field(WHOLE, (2,), 0, MAX_SIDE, "pixels"),
-    "crop_size": Field(WHOLE, (2,), 1, MAX_SIDE, "pixels"),
-}
+    "film": SIDES, "crop_offset": SIDES._replace(low=0), "crop_size": SIDES,
+}  # fmt: skip
 PIXELS = ("film", "crop_offset", "crop_size")
 
 
@@ -261,13 +260,12 @@ def check_record(record: Any, label: str) -> None:
         checked(record, SENSOR)
         film, offset, size = (np.array(record[key], np.float64) for key in PIXELS)
         near, far = record["clip"]
-        rules = {
-            "to_world must have the last row 0 0 0 1":
-                np.allclose(np.array(record["to_world"], np.float64)[3], [0, 0, 0, 1]),
+        last = np.array(record["to_world"], np.float64)[3]
+        broken = [rule for rule, holds in {
+            "to_world must have the last row 0 0 0 1": np.allclose(last, [0, 0, 0, 1]),
             "clip must be in order, near and far": near < far,
             f"film must have at most {MAX_PIXELS} pixels": size.prod() <= MAX_PIXELS,
             "crop_size must be a window inside the film": (offset + size <= film).all(),
-        }  # fmt: skip
-        for rule, holds in rules.items():
-            if not holds:
-                raise ValueError(rule)
+        }.items() if not holds]  # fmt: skip
+        if broken:
+            raise ValueError(broken[0])

@@ -81,7 +81,7 @@ def test_a_folder_that_is_none_is_named(kept, tmp_path):
         svu.load_light(tmp_path / "nothing")
     (kept / "light.npz").unlink()
     with pytest.raises(
-        CaptureError, match=r"light\.npz missing, so this is not a result of svu ligh"
+        CaptureError, match=r"has no light\.npz; give a folder written by svu light"
     ):
         svu.load_light(kept)
     (tmp_path / "file").write_text("")

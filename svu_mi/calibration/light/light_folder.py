@@ -134,14 +134,10 @@ def load_light(path: str | Path) -> LightEstimate:
     """
     path = Path(path)
     restore(path)
-    if not path.is_dir():
-        raise CaptureError(f"{path}: no such folder; give a folder written by svu light.")
     missing = [name for name in (MAP, ARRAYS, RECORD) if not (path / name).is_file()]
     if missing:
-        raise CaptureError(
-            f"{path}: {', '.join(missing)} missing, so this is not a result of svu light; give a "
-            "folder written by svu light."
-        )
+        what = f"has no {', '.join(missing)}" if path.is_dir() else "no such folder"
+        raise CaptureError(f"{path}: {what}; give a folder written by svu light.")
     require_one_run(path, [MAP], RECORD, COMMAND)
     written = entry_of(path / RECORD, COMMAND)
     if written is None:

@@ -50,17 +50,14 @@ IGNORED_GLTF = {
     "emissiveTexture": "emission", "alphaMode": "transparency",
 }  # fmt: skip
 DEEPEST = 500  # nested nodes, as in scenes; trimesh's time grows with the square
-BYTES = Field(WHOLE, (), 0, 2**40, "bytes", 0)
+SIZE = Field(WHOLE, (), 0, 2**40, default=0)
 INDICES = Field(WHOLE, (ITEMS,), 0, 2**31, default=())
 HEADER = {
-    "accessors": Field(
-        {"byteOffset": BYTES, "count": BYTES._replace(unit="")}, (ITEMS,), default=()
-    ),
-    "bufferViews": Field({"byteOffset": BYTES, "byteLength": BYTES}, (ITEMS,), default=()),
-    "nodes": Field({"children": INDICES}, (ITEMS,), default=()),
+    "accessors": Field({"byteOffset": SIZE, "count": SIZE}, (ITEMS,), default=()),
+    "bufferViews": Field({"byteOffset": SIZE, "byteLength": SIZE}, (ITEMS,), default=()),
+    "nodes": Field({"children": INDICES}, (ITEMS,), default=()), "scene": SIZE,
     "scenes": Field({"nodes": INDICES}, (ITEMS,), default=({"nodes": ()},)),
-    "scene": Field(WHOLE, (), 0, 2**31, default=0),
-}
+}  # fmt: skip
 MODEL = "KHR_materials_"  # prefix of extensions of the reflection model
 
 
@@ -153,8 +150,8 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
     held = _file_bytes(path, record)
     known = checked(record, HEADER)
     _refuse_bombs(path, record, [accessor["count"] for accessor in known["accessors"]], held)
-    _refuse_nesting(path, [node["children"] for node in known["nodes"]],
-                    known["scenes"][known["scene"]]["nodes"])  # fmt: skip
+    roots = known["scenes"][known["scene"]]["nodes"]
+    _refuse_nesting(path, [node["children"] for node in known["nodes"]], roots)
     attributes = ATTRIBUTES[:2] if geometry_only else ATTRIBUTES
     accessors = record.get("accessors", ())
     for primitive in _primitives(record):

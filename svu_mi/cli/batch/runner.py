@@ -20,14 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from svu_mi.cli.batch.capture_list import PATHS, BatchItem
-from svu_mi.cli.batch.steps import (
-    STEPS,
-    command_words,
-    inputs_key,
-    read_done,
-    step_key,
-    write_done,
-)
+from svu_mi.cli.batch.steps import STEPS, command_words, inputs_key, read_done, step_key, write_done
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.io.schema import NUMBER, Field, read_record
@@ -35,12 +28,8 @@ from svu_mi.core.memory import free_memory
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
 PART = Field(NUMBER, (), 0, 1)
-ENTROPY = {
-    "result": Field({
-        "intervals": Field({"seen_part": PART, "all_known_part": PART}),
-        "mean_entropy_of_seen": PART,
-    })
-}  # fmt: skip
+INTERVALS = Field({"seen_part": PART, "all_known_part": PART})
+ENTROPY = {"result": Field({"intervals": INTERVALS, "mean_entropy_of_seen": PART})}
 TRIES = 3  # if a command is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which also reaches the commands
 KILOBYTE = 1024

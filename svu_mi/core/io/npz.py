@@ -57,13 +57,10 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_foreign_array(path: Path, largest: int) -> np.ndarray:
-    """Read an ``.npy`` file that another program wrote, of at most ``largest`` bytes.
-
-    Returns:
-        float64 array of any shape; NaN and infinity are kept.
+    """Read real numbers (float64) from an ``.npy`` file of another program; keep NaN and infinity.
 
     Raises:
-        ValueError: the file cannot be read, is too large, or contains anything but real numbers.
+        ValueError: the file cannot be read, has more than ``largest`` bytes, or other content.
     """
     with _opened(path, largest) as file:
         return _numbers(file.read())
@@ -72,16 +69,10 @@ def read_foreign_array(path: Path, largest: int) -> np.ndarray:
 def read_foreign_arrays(
     path: Path, wanted: re.Pattern[str], largest: int, most: int
 ) -> dict[str, np.ndarray]:
-    """Read arrays from an ``.npz`` file that another program wrote.
+    """Read up to ``most`` arrays with names like ``wanted`` from an ``.npz`` file.
 
-    ``wanted`` is a pattern of their names, and ``most`` limits their number. ``largest`` limits the
-    size of the file in bytes, and the total size of the uncompressed arrays.
-
-    Returns:
-        float64 arrays of any shape by name; NaN and infinity are kept.
-
-    Raises:
-        ValueError: an error of ``read_foreign_array``.
+    ``largest`` also limits the total size of the uncompressed arrays in bytes (see
+    ``read_foreign_array``).
     """
     with _opened(path, largest) as file, zipfile.ZipFile(file) as archive:
         members = _members(archive, wanted, PACKINGS, largest)

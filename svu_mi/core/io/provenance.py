@@ -27,10 +27,8 @@ RUN_RECORD = "run.json"
 RECORDS = (RUN_RECORD, "asset.json", "check.json", "compare.json", LIGHT_RECORD, "capture.json")
 CAPTURES = ("render", "import")  # commands whose results are captures
 LONGEST = 1024  # letters of a file name
-ENTRY = {
-    "run": Field(TEXT), "command": Field(TEXT), "capture": Field(TEXT),
-    "files": Field(TEXT, (NAMES,)),
-}  # fmt: skip
+ENTRY = {name: Field(TEXT) for name in ("run", "command", "capture")}
+ENTRY["files"] = Field(TEXT, (NAMES,))
 HEAD = 4096  # bytes at the start of a scene file or mesh that contain its marks
 
 

@@ -169,13 +169,9 @@ def write_model(folder: Path, cameras: Mapping[int, ColmapCamera], views: Sequen
 def _camera(model: str, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
     if len(parameters) != PARAMETERS[model]:
         raise ValueError(f"{model} has {PARAMETERS[model]} parameters, not {len(parameters)}")
-    return ColmapCamera(model, width, height, _finite(parameters))
-
-
-def _finite(values: Sequence[float]) -> tuple[float, ...]:
-    if not np.isfinite(values).all():
+    if not np.isfinite(parameters).all():
         raise ValueError("a number is NaN or infinite")
-    return tuple(values)
+    return ColmapCamera(model, width, height, tuple(parameters))
 
 
 class _BinaryReader:
@@ -234,7 +230,7 @@ def _read_views(path: Path) -> list[Pose]:
     with refusing(path, FIX), _records(path) as records:
         for _ in range(_count(records, path)):
             _, *pose, camera = records.take("I7dI")
-            views.append(Pose(records.text(), camera, _finite(pose[:4]), _finite(pose[4:])))
+            views.append(Pose(records.text(), camera, tuple(pose[:4]), tuple(pose[4:])))
             records.skip(POINT * records.take("Q")[0])
     return views
 
@@ -284,7 +280,7 @@ def _parse_views(path: Path) -> list[Pose]:
             if len(name) > LONGEST_NAME:
                 raise ValueError("a name is too long")
             pose = [float(field) for field in fields]
-            views.append(Pose(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
+            views.append(Pose(name, _number(camera), tuple(pose[:4]), tuple(pose[4:])))
             require_views(len(views), f"{path}: images", CaptureError)
             # Every second line contains the image's points, and may be empty.
             if len(next(lines, "").split()) % 3:
