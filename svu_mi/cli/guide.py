@@ -16,6 +16,7 @@ from tyro.conf import arg
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.loading import EstimateCommand
 from svu_mi.cli.streams import format_number, print_line
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -220,16 +221,11 @@ def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
 
 def _read_numbers(path: Path) -> list[Any]:
     """Read indices separated by white space, or a JSON list of indices or of booleans."""
-    try:
+    with refusing(path, "give numbers, or a JSON list of numbers or of booleans"):
         text = path.read_text(encoding="utf-8")
         values = json.loads(text) if text.lstrip().startswith("[") else list(map(int, text.split()))
-    except (OSError, ValueError, RecursionError) as error:
-        raise OptionError(
-            f"{path}: not a readable list of candidates ({error}); give numbers, or a JSON list of "
-            "numbers or of booleans."
-        ) from error
-    if set(map(type, values)) not in ({int}, {bool}):
-        raise OptionError(f"{path}: not a list of numbers or of booleans; see --reachable.")
+        if set(map(type, values)) not in ({int}, {bool}):
+            raise ValueError("not a list of candidates")
     return values
 
 

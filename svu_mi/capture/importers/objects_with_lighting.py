@@ -96,10 +96,8 @@ def _frame(camera: Path, gain: float) -> Frame:
     K, rotation, translation, size = values[:3], values[3:6], values[6], values[7]
     if np.abs(K[[0, 1, 2, 2], [1, 0, 0, 1]]).max() > 0 or K[2, 2] != 1:
         raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
-    try:
+    with refusing(f"{camera}: R is not a rotation", "copy the file again"):
         to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
-    except np.linalg.LinAlgError as error:
-        raise CaptureError(f"{camera}: R is not a rotation; copy the file again.") from error
     image = camera.with_name(camera.name.replace("camera_", "image_")).with_suffix(".png")
     mask = image.with_name(image.name.replace("image_", "mask_"))
     if not image.is_file():

@@ -169,7 +169,7 @@ def refusing(label: object, remedy: str) -> Iterator[None]:
     """Turn errors of a reader into a CaptureError: ``LABEL: REASON; REMEDY.``"""
     try:
         yield
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{label}: {excerpt(error, 300)}; {remedy}.") from error
 
 
@@ -179,13 +179,11 @@ def read_json(path: Path) -> Any:
     Raises:
         CaptureError: the file cannot be read, is too large, or is not JSON.
     """
-    try:
+    with refusing(f"{path}: not a readable JSON file", "correct or replace it"):
         if path.stat().st_size > LARGEST_JSON:
             raise ValueError(f"it has more than {LARGEST_JSON >> 20} MiB")
         # Windows tools write a byte-order mark.
         return json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a readable JSON file ({excerpt(error)}).") from error
 
 
 def require_files(more: int) -> None:
