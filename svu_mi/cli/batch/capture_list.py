@@ -117,28 +117,22 @@ def _read_table(path: Path) -> list[BatchItem]:
 
 
 def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
-    def require(fine: object, value: str, problem: str) -> None:
-        if not fine:
-            raise OptionError(f"{table}, line {line}: {excerpt(value, LONGEST)!r} {problem}")
-
     word = row.get("capture", "")
     capture = table.parent / word
-    require(
-        word and capture.exists(), word,
-        "is not a capture; give the path of a folder or scene, relative to the table.",
-    )  # fmt: skip
     default = capture.parent.name if capture.suffix == ".xml" else capture.resolve().name
     name = row.get("name") or default
-    require(
-        NAME.fullmatch(name), name,
-        "is not a valid folder name; use letters, digits, spaces and . + - _ in the column name.",
-    )  # fmt: skip
     options = {key: row[key] for key in OPTIONS if row.get(key)}
     size = options.get("resolution", "1")
-    require(
-        SIZE.fullmatch(size), size,
-        "is not a resolution; give one or two whole numbers, such as 512 or 1024 512.",
-    )  # fmt: skip
+    for value, fine, problem in (
+        (word, word and capture.exists(),
+         "is not a capture; give the path of a folder or scene, relative to the table."),
+        (name, NAME.fullmatch(name),
+         "is not a valid folder name; use letters, digits, spaces and . + - _ in the column name."),
+        (size, SIZE.fullmatch(size),
+         "is not a resolution; give one or two whole numbers, such as 512 or 1024 512."),
+    ):  # fmt: skip
+        if not fine:
+            raise OptionError(f"{table}, line {line}: {excerpt(value, LONGEST)!r} {problem}")
     paths = {key: str(table.parent / options[key]) for key in PATHS if key in options}
     return BatchItem(name, capture, options | paths)
 

@@ -138,13 +138,8 @@ def _check_mesh(name: str, mesh: MeshArrays) -> None:
             raise MeshError(f"'{name}' has {words} that are NaN or infinite; repair the mesh.")
 
 
-def count_invalid(image: np.ndarray, maximum: float) -> int:
-    """Count values that are NaN, infinite, or outside [0, maximum]."""
-    return int((~((image >= 0) & (image <= maximum) & np.isfinite(image))).sum())
-
-
 def _check_values(name: str, image: np.ndarray, maximum: float) -> None:
-    bad = count_invalid(image, maximum)
+    bad = int((~((image >= 0) & (image <= maximum) & np.isfinite(image))).sum())
     if bad:
         raise OptionError(
             f"Asset: {bad} values of {name} are NaN or outside [0, {maximum:g}]; clip them."

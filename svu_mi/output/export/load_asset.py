@@ -15,6 +15,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
 from svu_mi.capture.plugin_security import pin_own_plugins
 from svu_mi.capture.scene import last_sentence
 from svu_mi.core.io.exr import read_header
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import (
     are_of_one_capture,
@@ -22,15 +23,18 @@ from svu_mi.core.io.provenance import (
     require_one_run,
     require_recovery,
 )
+from svu_mi.core.io.schema import LARGEST, Axis, Field, checked
 from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
-from svu_mi.output.export.asset import Asset, count_invalid
+from svu_mi.output.export.asset import Asset
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.object_views import nearest_axis, up_of_poses
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
 
 HEADER = 4096  # largest size of a PLY header in bytes
+PART = Field("f", (Axis("rows", 1), Axis("columns", 1)), 0, 1, default=None)
+VIEWS = PART._replace(high=LARGEST)
 
 
 def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
@@ -87,8 +91,8 @@ class AssetPlan:
             name=shape.get("id") or "object",
             mesh=_read_mesh(folder / MESH, smooth),
             textures=read_textures(folder),
-            entropy=_read_map(maps / ENTROPY, 1),
-            coverage=_read_map(maps / COVERAGE, np.inf),
+            entropy=_read_map(maps / ENTROPY, PART),
+            coverage=_read_map(maps / COVERAGE, VIEWS),
             deviations=_read_deviations(folder / UNCERTAINTY, textured),
             two_sided=shape.find("bsdf[@type='twosided']") is not None,
             up=nearest_axis(up_of_poses(_camera_poses(scene))),
@@ -169,22 +173,11 @@ def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
         return {}
     deviations = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
-    for name, image in deviations.items():
-        _require_values(path, image, 1, f" of {name}")
-    return deviations
+    with refusing(path, "compute the file again"):
+        return checked(deviations, dict.fromkeys(deviations, PART))
 
 
-def _read_map(path: Path, maximum: float) -> np.ndarray | None:
+def _read_map(path: Path, field: Field) -> np.ndarray | None:
     """Return an (H, W) map; None if the file is missing."""
-    image = read_map(path)
-    if image is not None:
-        _require_values(path, image, maximum)
-    return image
-
-
-def _require_values(path: Path, image: np.ndarray, maximum: float, what: str = "") -> None:
-    if bad := count_invalid(image, maximum):
-        raise CaptureError(
-            f"{path}: {bad} values{what} are NaN or outside [0, {maximum:g}]; compute the file "
-            "again."
-        )
+    with refusing(path, "compute the file again"):
+        return checked({"Y": read_map(path)}, {"Y": field})["Y"]  # type: ignore[no-any-return]
