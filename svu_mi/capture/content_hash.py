@@ -20,6 +20,7 @@ import numpy as np
 
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.capture import Capture, LightUncertainty
+from svu_mi.capture.float_textures import as_stored
 from svu_mi.capture.mesh import crosses_of, unit_vectors
 from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.sensors import describe
@@ -129,7 +130,8 @@ def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
                 continue
             normals = name.endswith("vertex_normals") and array.size
             computed = normals and _are_computed(shape, array)
-            key.add(name, "of faces" if computed else array)
+            stored = as_stored(array) if name.endswith(".data") else array
+            key.add(name, "of faces" if computed else stored)
     return key
 
 

@@ -98,7 +98,7 @@ def load_capture(
     """
     return plan_capture(
         path, images, shape=shape, defines=defines, unwrap=unwrap, missing=missing, light=light,
-        trust=trust, detail=detail, views=views,
+        trust=trust, detail=detail, views=views, float_textures=True,
     ).read(memory)  # fmt: skip
 
 
@@ -111,11 +111,12 @@ def plan_capture(
     trust: bool = False,
     missing: Missing = "refuse",
     light: Light = "required",
+    float_textures: bool = False,
     **reading: Any,
 ) -> CapturePlan:
     """Load a scene, match photographs with sensors, and read their headers.
 
-    Arguments and errors: see ``load_capture``.
+    Arguments and errors: see ``load_capture``, and ``load_scene`` for ``float_textures``.
     """
     require_variant()
     if not isinstance(path, str | os.PathLike):
@@ -136,7 +137,7 @@ def plan_capture(
         remembered, scene=xml, shape=shape or remembered.shape,
         defines={**remembered.defines, **(defines or {})},
     )  # fmt: skip
-    scene = load_scene(xml, description.defines, trust=trust)
+    scene = load_scene(xml, description.defines, trust=trust, float_textures=float_textures)
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
     if images is None:
         folder = photographs_of(path, [sensor.id() for sensor in sensors])

@@ -89,7 +89,7 @@ def render_capture(
     """
     plan = plan_render(
         scene, spp, seed, shape=shape, views=views, resolution=resolution, defines=defines,
-        unwrap=unwrap, trust=trust,
+        unwrap=unwrap, trust=trust, float_textures=True,
     )  # fmt: skip
     return plan.render(folder, progress=progress, resume=resume)
 
@@ -183,14 +183,16 @@ def plan_render(
     defines: Mapping[str, str] | None = None,
     unwrap: bool = False,
     trust: bool = False,
+    float_textures: bool = False,
 ) -> RenderPlan:
-    """Load a scene and place its sensors (arguments: ``render_capture``)."""
+    """Load a scene and place its sensors (see ``render_capture`` and ``load_scene``)."""
     require_variant()
     require_spp(spp)
     if seed < 0:
         raise OptionError(f"The seed must not be negative, got {seed}.")
     path = None if isinstance(scene, mi.Scene) else Path(scene)
-    scene = scene if path is None else load_scene(path, defines, trust=trust)
+    if path is not None:
+        scene = load_scene(path, defines, trust=trust, float_textures=float_textures)
     label = str(path or "scene")
     light = find_environment(scene, label)
     target = find_shape(scene, shape, label)

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi import _llvm
+from svu_mi.capture.float_textures import store_as_float
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.plugin_security import (
     pin_own_plugins,
@@ -49,13 +50,17 @@ def require_variant() -> str:
     return variant
 
 
-def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: bool = False) -> Any:
+def load_scene(
+    path: Path, defines: Mapping[str, str] | None = None, *, trust: bool = False,
+    float_textures: bool = False,
+) -> Any:  # fmt: skip
     """Load a Mitsuba XML file without merging its shapes or textures.
 
     Args:
         path: Path of the XML file.
         defines: Values of the scene's ``<default>`` parameters.
         trust: True lets the scene load plugin libraries (see ``load_capture``).
+        float_textures: True stores 8-bit textures of principled materials as float32.
 
     Raises:
         SceneError: The scene, or a file that it refers to, is missing, damaged or not allowed.
@@ -78,6 +83,8 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
             if not trust:
                 refuse_foreign(state, str(path))
             check_files(state, str(path))
+            if float_textures:
+                store_as_float(state)
             return mi.parser.instantiate(config, state)
         except SvuError:
             raise
