@@ -37,20 +37,21 @@ class EntropyIntegrator(mi.SamplingIntegrator):
 
     .. pluginparameters::
 
-     * - map
+     * - filename
        - |string|
-       - File name of an EXR image with the map in UV space (the first row is :math:`v = 0`),
-         such as ``entropy.exr`` or ``coverage.exr``. The channel ``Y`` is used, or else the
-         first one. With the colormap ``none``, channels R, G and B are used if present.
+       - EXR image with the map in UV space (the first row is :math:`v = 0`), such as
+         ``entropy.exr`` or ``coverage.exr``. The channel ``Y`` is used, or else the first one.
+         With the colormap ``none``, channels R, G and B are used if present. The name ``map``
+         is accepted, too.
 
      * - texture
        - |texture|
-       - The map as a nested texture (of any name), instead of ``map``. Bitmaps need
+       - The map as a nested texture (of any name), instead of ``filename``. Bitmaps need
          ``raw`` set to |true|. |exposed|
 
      * - filter_type
        - |string|
-       - Filter of ``map``: ``nearest`` or ``bilinear``. (Default: ``nearest``)
+       - Filter of the file: ``nearest`` or ``bilinear``. (Default: ``nearest``)
 
      * - colormap
        - |string|
@@ -90,7 +91,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             :name: svu-entropy-integrator
 
             <integrator type="svu_entropy">
-                <string name="map" value="out/entropy.exr"/>
+                <string name="filename" value="out/entropy.exr"/>
                 <string name="shape" value="vase"/>
                 <boolean name="shading" value="true"/>
             </integrator>
@@ -98,7 +99,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
         .. code-tab:: python
 
             'type': 'svu_entropy',
-            'map': 'out/entropy.exr',
+            'filename': 'out/entropy.exr',
             'shape': 'vase',
             'shading': True
     """
@@ -125,21 +126,23 @@ class EntropyIntegrator(mi.SamplingIntegrator):
 
     def _map(self, props: mi.Properties) -> tuple[str, mi.Texture]:
         """Return the file name of the map, or ``nested texture``, and its texture."""
-        filename, filter_type = props.get("map", ""), props.get("filter_type", "nearest")
+        given = [props[name] for name in ("filename", "map") if name in props]
+        filter_type = props.get("filter_type", "nearest")
         if filter_type not in ("nearest", "bilinear"):
             raise OptionError(
                 f"svu_entropy: filter_type must be nearest or bilinear, got {filter_type!r}."
             )
         nested = [child for _, child in props.objects() if isinstance(child, mi.Texture)]
-        if nested and nested[0] is filename:
-            filename = ""
-        if len(nested) + bool(filename) != 1:
+        files = [name for name in given if isinstance(name, str)]
+        if len(nested) + len(files) != 1:
+            wrong = "".join(f"; there is no property {name!r}" for name in props.unqueried())
             raise OptionError(
-                "svu_entropy: needs exactly one map, as the file name 'map' or a nested texture."
+                "svu_entropy: needs exactly one map, as a filename or a nested texture, got "
+                f"{len(nested) + len(files)}{wrong}."
             )
         if nested:
             return "nested texture", nested[0]
-        return filename, _load(filename, filter_type, self.colormap == "none")
+        return files[0], _load(files[0], filter_type, self.colormap == "none")
 
     def sample(
         self,

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from svu_mi.recovery.recovery_options import DescentOptions, PathOptions, ShOptions
     from svu_mi.recovery.recovery_result import Recovery
     from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
+    from svu_mi.recovery.regularizers.texture_parameters import texture_parameters
     from svu_mi.recovery.regularizers.total_variation import TotalVariation
 
 __version__ = "0.1.0"
@@ -96,6 +97,7 @@ _HOME = {
     "DescentOptions": "recovery.recovery_options", "PathOptions": "recovery.recovery_options",
     "ShOptions": "recovery.recovery_options",
     "GlobalSharing": "recovery.regularizers.global_sharing",
+    "texture_parameters": "recovery.regularizers.texture_parameters",
     "TotalVariation": "recovery.regularizers.total_variation", "Asset": "output.export.asset",
     "ExportOptions": "output.export.write_asset", "export_asset": "output.export.write_asset",
     "load_asset": "output.export.load_asset", "SvuError": "errors", "SvuWarning": "errors",
@@ -112,7 +114,7 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "fill_by_diffusion", "fit_sh", "import_capture", "load_asset", "load_capture",
     "load_light", "next_best_view", "power_spectrum", "preset", "read_source", "recover",
     "reference_posterior", "relight_draws", "render_capture", "save_light", "spectrum_posterior",
-    "texels", "texture_field", "with_light", "write_report",
+    "texels", "texture_field", "texture_parameters", "with_light", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

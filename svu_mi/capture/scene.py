@@ -26,6 +26,7 @@ from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
 LONGEST = 400  # characters of Mitsuba's messages
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
+TRACE = re.compile(r"Traceback \(most recent call last\):\n(?:  .*\n)*(?:\w+: )?")  # of a plugin
 RESERVED = frozenset(("config", "filename"))  # other arguments of mi.parser.parse_file
 
 
@@ -103,8 +104,9 @@ def _refusal(path: Path, message: str) -> str:
 
 
 def last_sentence(message: str) -> str:
-    """Return Mitsuba's message as a sentence, without positions in its source code."""
-    text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", message).strip(), LONGEST)
+    """Return Mitsuba's message as a sentence, without positions in source code."""
+    text = TRACE.sub("", re.sub(r"\[[\w.]+:\d+\]\s*", "", message))
+    text = excerpt(text.strip(), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 
 

@@ -107,7 +107,7 @@ def _choose_views(
     free = inputs.candidates.reachable.copy()
     covered = np.asarray(inputs.seen[: inputs.photographs].any(axis=0))
     for _ in range(min(count, int(free.sum()))):
-        scores = np.where(free, scorer.scores(), np.nan)
+        scores = np.where(free, _valid(scorer.scores(), free, inputs.options.strategy), np.nan)
         best = int(np.nanargmax(scores))
         if greedy is not None and not greedy.forecast.is_separable:
             entropy = float(greedy.entropy.mean())  # with the light of this step
@@ -119,6 +119,19 @@ def _choose_views(
         scorer.choose(best)
         if greedy is not None and greedy is not scorer:
             greedy.choose(best)
+
+
+def _valid(scores: Any, free: np.ndarray, strategy: str) -> np.ndarray:
+    """Return the scores of a strategy; raise unless there is a number for each candidate."""
+    scores = np.asarray(scores)
+    if scores.shape != free.shape or np.isnan(scores[free]).any():
+        wrong = "NaN" if scores.shape == free.shape else f"scores of shape {scores.shape}"
+        raise OptionError(
+            f"next_best_view(): the strategy {strategy!r} returned {wrong}; scores() must return "
+            f"one number for each of the {len(free)} candidates, which follow the photographs in "
+            "StrategyInputs."
+        )
+    return scores
 
 
 def _proposal(

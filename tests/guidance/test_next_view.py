@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from functools import cache
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
@@ -20,6 +21,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import directions_of, sphere_sensors
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.local_memory import padded_to_quads
+from svu_mi.errors import OptionError
 from svu_mi.guidance import guidance_result, strategies, strategy_inputs
 from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Hypotheses
@@ -577,6 +579,17 @@ class TestNextBestView:
         exact = np.stack([np.array(bits.test(mi.UInt32(v), lanes)) for v in range(20)])
         assert (every.seen == exact).mean() > 0.999
         assert exact.sum() > 1000
+
+    @pytest.mark.parametrize(("scores", "wrong"), [
+        (lambda inputs: inputs.directions[:, 0], r"scores of shape \(8,\)"),  # of photographs, too
+        (lambda inputs: inputs.directions[3:, 0] * np.nan, "NaN"),
+    ])  # fmt: skip
+    def test_wrong_scores_name_their_strategy(self, sunny, estimated, monkeypatch, scores, wrong):
+        make = lambda inputs: SimpleNamespace(scores=lambda: scores(inputs))  # noqa: E731
+        monkeypatch.setitem(TABLE, "coverage", strategies.GuidanceStrategy("texels", make))
+        around = svu.Candidates.around(sunny[0], 5)
+        with pytest.raises(OptionError, match=f"'coverage' returned {wrong}.* of the 5 candidates"):
+            svu.next_best_view(estimated(0, 5, 9), around, strategy="coverage")
 
     def test_hidden_side_is_looked_at_first(self, sunny):
         """Must show 4."""

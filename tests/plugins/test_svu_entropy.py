@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import matplotlib
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import box_film
+from support.helpers import box_film, write_scene
 
 import svu_mi.plugins  # noqa: F401 - registers
+from svu_mi.capture.scene import load_scene
 from svu_mi.core.io.exr import write_exr
+from svu_mi.errors import SceneError
+from svu_mi.plugins import registry
 
 SIZE = 24
 
@@ -51,7 +57,7 @@ def seen(values: np.ndarray) -> np.ndarray:
 
 
 def test_without_a_colormap_the_pixels_are_the_map(file, values):
-    image = picture({"map": file, "colormap": "none"})
+    image = picture({"filename": file, "colormap": "none"})
     for channel in range(3):
         np.testing.assert_allclose(image[..., channel], seen(values), atol=1e-6)
     np.testing.assert_allclose(image[..., 3], 1, atol=1e-6)
@@ -135,7 +141,8 @@ def test_xml_finds_the_map_beside_the_scene(tmp_path, file, values):
     path = tmp_path / "scene.xml"
     path.write_text(
         '<scene version="3.0.0"><integrator type="svu_entropy">'
-        '<string name="map" value="map.exr"/><string name="colormap" value="none"/></integrator>'
+        '<string name="filename" value="map.exr"/>'
+        '<string name="colormap" value="none"/></integrator>'
         '<shape type="rectangle" id="wall"/><sensor type="orthographic"><transform '
         'name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>'
         f'<film type="hdrfilm"><integer name="width" value="{SIZE}"/>'
@@ -150,7 +157,9 @@ def test_xml_finds_the_map_beside_the_scene(tmp_path, file, values):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({}, "needs exactly one map"),
+        ({}, r"needs exactly one map, as a filename or a nested texture, got 0\.$"),
+        ({"file": "map.exr"}, r"got 0; there is no property 'file'\.$"),
+        ({"map": "a.exr", "filename": "b.exr"}, r"got 2\.$"),
         ({"map": "missing.exr"}, "missing.exr: no such file"),
         ({"colormap": "jet"}, "unknown colormap 'jet'; use grey, viridis, inferno or none"),
         ({"range_min": 1.0, "range_max": 1.0}, "range_min must be below"),
@@ -159,9 +168,23 @@ def test_xml_finds_the_map_beside_the_scene(tmp_path, file, values):
     ],
 )
 def test_wrong_properties_are_named(file, wrong, sentence):
-    given = wrong if not wrong or "map" in wrong else {"map": file, **wrong}
+    given = wrong if not wrong or {"map", "file"} & wrong.keys() else {"map": file, **wrong}
     with pytest.raises(Exception, match=sentence):
         mi.load_dict({"type": "svu_entropy", **given})
+
+
+def test_a_wrong_name_is_one_sentence_for_commands(tmp_path):
+    """Mitsuba's own message contains a traceback of the plugin."""
+    path = write_scene(tmp_path)
+    own = '<integrator type="svu_entropy"><string name="mapp" value="a.exr"/></integrator>'
+    path.write_text(path.read_text().replace('<integrator type="direct"/>', own))
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert str(caught.value) == (
+        f'{path}: line 2: failed to instantiate integrator plugin of type "svu_entropy": '
+        "svu_entropy: needs exactly one map, as a filename or a nested texture, got 0; there is no "
+        "property 'mapp'."
+    )
 
 
 def test_an_unknown_shape_is_named_with_those_there_are(file):
@@ -178,3 +201,15 @@ def test_it_survives_a_change_of_variant(file, values):
     mi.set_variant("llvm_ad_rgb")
     image = picture({"map": file, "colormap": "none"})
     np.testing.assert_allclose(image[..., 0], seen(values), atol=1e-6)
+
+
+def test_the_xml_on_the_page_of_plugins_loads(tmp_path, file):
+    page = (Path(__file__).parents[2] / "notebooks" / "plugins.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```xml\n(.*?)```", page, re.S)
+    assert [re.search(r'type="(\w+)"', block)[1] for block in blocks] == list(registry.MODULES)
+    for block in blocks:
+        text = block.replace("out/entropy.exr", file).replace('"vase"', '"ball"')
+        path = write_scene(tmp_path)
+        path.write_text(path.read_text().replace('<integrator type="direct"/>', text))
+        kind = re.search(r"value=\"(viridis|default)\"", block)[1]
+        assert f"= {kind}," in str(load_scene(path).integrator())

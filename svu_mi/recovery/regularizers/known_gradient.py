@@ -39,14 +39,16 @@ class Regularizer:
             texture: (H, W) or (H, W, C) TensorXf, at the resolution of the texels.
 
         Raises:
-            OptionError: The texture is not a TensorXf.
+            OptionError: The texture is not a TensorXf, such as an 8-bit one without gradient.
             ShapeError: The texture has another resolution.
         """
         name, (width, height) = type(self).__name__, self._texels().resolution
         if not isinstance(texture, mi.TensorXf):
+            remedy = "wrap it in mi.TensorXf."
+            if dr.is_tensor_v(texture) and not dr.is_float_v(texture):
+                remedy = 'no gradient passes; set format="variant" on its bitmap.'
             raise OptionError(
-                f"{name}: expected a texture as mi.TensorXf, got {type(texture).__name__}; "
-                "wrap it in mi.TensorXf."
+                f"{name}: expected a texture as mi.TensorXf, got {type(texture).__name__}; {remedy}"
             )
         shape = tuple(texture.shape)
         if len(shape) not in (2, 3) or shape[:2] != (height, width) or 0 in shape:
