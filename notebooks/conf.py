@@ -78,6 +78,7 @@ notebooks/methods
 notebooks/how
 notebooks/guiding
 notebooks/recovering
+notebooks/own_loop
 notebooks/results
 notebooks/many
 notebooks/cluster

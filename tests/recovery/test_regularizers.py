@@ -212,6 +212,8 @@ def test_textures_of_other_shapes_are_refused(kind):
             regularizer(dr.zeros(mi.TensorXf, shape))
     with pytest.raises(OptionError, match=r"mi\.TensorXf, got ndarray"):
         regularizer(np.zeros((16, 24)))
+    with pytest.raises(OptionError, match='TensorXu8; no gradient passes; set format="variant" on'):
+        regularizer(dr.zeros(mi.TensorXu8, (16, 24, 1)))
 
 
 def test_wrong_arguments_are_refused():
