@@ -31,7 +31,8 @@ from svu_mi.bench.markdown import Bar, Column, digits, seconds, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import SensorPixels
-from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.capture.scene import load_scene
+from svu_mi.capture.target import find_target
 from svu_mi.evaluation.correlation import spearman
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
@@ -123,7 +124,7 @@ class SurenessCase(CaseSubject):
         draws, records = list(field.draw(DRAWS)), []
         for other in self.others:
             scene = load_scene(other.scene, other.defines)
-            shape = find_shape(scene, self.capture.shape.id(), str(other.scene))
+            shape = find_target(scene, self.capture.shape.id(), str(other.scene)).mesh
             lit = replace(even_views(self.capture, VIEWS), scene=scene, shape=shape, mesh=shape)
             start = time.perf_counter()
             relit = relight_draws(lit, recovery.textures, draws, spp=SPP)

@@ -92,10 +92,14 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
     return f"{path.parent}: {len(group)} of {count} photographs ({some}{rest})"
 
 
-def unsupported(scene: Any, target: Any) -> list[str]:
-    """Return warnings about the target's material, and about light from other shapes."""
+def unsupported(scene: Any, target: Any, materials: Sequence[Any] = ()) -> list[str]:
+    """Return warnings about the target's materials, and about light from other shapes.
+
+    ``materials`` are those of the shapes that the target was made of; default: its own.
+    """
     notes = []
-    if features := list(dict.fromkeys(_of_material(target.bsdf()))):
+    found = [name for bsdf in materials or [target.bsdf()] for name in _of_material(bsdf)]
+    if features := list(dict.fromkeys(found)):
         notes.append(
             f"Shape '{excerpt(target.id())}' has {_listed(features)}, which svu does not account "
             "for: if the photographs show that, roughness and base colour will be off."

@@ -26,11 +26,11 @@ from svu_mi.capture.pixel_buffer import room_for_photographs
 from svu_mi.capture.scene import (
     find_environment,
     find_sensors,
-    find_shape,
     load_scene,
     require_variant,
 )
 from svu_mi.capture.sensors import film_size
+from svu_mi.capture.target import find_target
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
@@ -64,7 +64,10 @@ def load_capture(
         images: Folder of the photographs. Default: the capture folder, ``images`` next to the scene
             if it contains photographs, or the scene's folder. Sensors in its ``capture.json``
             replace the sensors of the scene.
-        shape: Id of the target; default: the only mesh, or the only one with a principled BSDF.
+        shape: Name of the target: an id, a file name if the shape has no id, the id of a BSDF, a
+            number from 0 in the order of the scene, ``largest principled``, or several with commas
+            between, which become one mesh with new UVs. Default: the only shape, or the only one
+            with a principled BSDF.
         defines: Values of the scene's ``<default>`` parameters.
         unwrap: True computes new UVs even if the mesh has UVs. A mesh without UVs is always
             unwrapped, with a warning. The result is cached as ``unwrapped.ply`` in ``images``.
@@ -134,7 +137,7 @@ def plan_capture(
     folder = Path(images) if images is not None else photographs_of(path)
     xml, remembered = _described(path, folder)
     description = dataclasses.replace(  # arguments override capture.json
-        remembered, scene=xml, shape=shape or remembered.shape,
+        remembered, scene=xml, shape=remembered.shape if shape is None else shape,
         defines={**remembered.defines, **(defines or {})},
     )  # fmt: skip
     scene = load_scene(xml, description.defines, trust=trust, float_textures=float_textures)
@@ -174,6 +177,7 @@ class CapturePlan:
         scene: The ``mi.Scene``.
         light: Environment emitter; None if the scene has no light.
         target: Target object, an ``mi.Mesh``.
+        materials: BSDFs of the object's shapes.
         sensors: V sensors whose films have the size of the files.
         folder: Folder of the photographs.
         description: Content of ``capture.json``.
@@ -189,6 +193,7 @@ class CapturePlan:
     scene: Any
     light: Any
     target: Any
+    materials: Sequence[Any]
     sensors: Sequence[Any]
     folder: Path
     description: Description
@@ -227,7 +232,8 @@ class CapturePlan:
         sensors = [w.seen_by(each) for w, each in zip(self.windows, self.sensors, strict=True)]
         notes, used = check_photographs(photographs, self.paths, names, some=self.partial)
         mesh, unwrapping = _texel_mesh(self.target, self.unwrap, self.folder)
-        notes = [*self.match.notes, *notes, *unwrapping, *unsupported(self.scene, self.target)]
+        material = unsupported(self.scene, self.target, self.materials)
+        notes = [*self.match.notes, *notes, *unwrapping, *material]
         notes += self._geometry_warnings(sensors)
         for sentence in notes:
             warnings.warn(sentence, SvuWarning, stacklevel=3)
@@ -265,7 +271,8 @@ def plan_photographs(
     """Match photographs with sensors of a loaded scene (``plan_capture``)."""
     label = str(description.scene or folder)
     environment = _light(scene, description, light, folder)
-    target = find_shape(scene, description.shape, label)
+    found = find_target(scene, description.shape, label)
+    target = found.mesh
     # Other images in the scene's folder may be textures.
     own = description.scene is None or description.scene.resolve().parent != folder.resolve()
     match = match_photographs(folder, [s.id() for s in sensors], missing, any_name=own)
@@ -277,7 +284,8 @@ def plan_photographs(
         for film, path, window in zip(films, paths, detail.windows(target, sensors), strict=True)
     ]
     return CapturePlan(
-        scene=scene, light=environment, target=target, sensors=sensors, folder=folder,
+        scene=found.scene, light=environment, target=target, materials=found.materials,
+        sensors=sensors, folder=folder,
         description=description, match=match, paths=paths,
         pictures=open_photographs(paths, films), windows=windows, exposures=exposures,
         unwrap=unwrap, partial=views is not None,

@@ -24,12 +24,12 @@ from svu_mi.capture.mesh import chart_coverage
 from svu_mi.capture.scene import (
     find_environment,
     find_sensors,
-    find_shape,
     last_sentence,
     load_scene,
     require_variant,
 )
 from svu_mi.capture.sensors import describe, film_size, sphere_sensors
+from svu_mi.capture.target import SceneTarget, find_target
 from svu_mi.core.interrupts import between_steps
 from svu_mi.core.io.exr import read_header, read_pixels, write_exr
 from svu_mi.core.io.hashes import Key
@@ -100,14 +100,14 @@ class RenderPlan:
 
     Attributes:
         light: Environment emitter.
-        target: Target object, an ``mi.Mesh``.
+        target: The object as a mesh. Photographs show ``scene``, which has its original shapes.
         sensors: V perspective sensors.
         description: Content of the future ``capture.json``.
     """
 
     scene: Any
     light: Any
-    target: Any
+    target: SceneTarget
     sensors: Sequence[Any]
     spp: int
     seed: int
@@ -117,7 +117,7 @@ class RenderPlan:
     @property
     def sizes(self) -> Sizes:
         """Sizes for memory estimates."""
-        charts = 1.0 if self.unwrap else chart_coverage(self.target)
+        charts = 1.0 if self.unwrap else chart_coverage(self.target.mesh)
         return Sizes([film_size(sensor) for sensor in self.sensors], map_size(self.light), charts)
 
     def render(
@@ -156,7 +156,7 @@ class RenderPlan:
                     # Mitsuba decorrelates neighbouring seeds of the independent sampler.
                     seed = (self.seed + index) % 2**32
                     image = _radiance(self.scene, sensor, self.spp, seed)
-                    mask = object_mask(self.scene, self.target, sensor)
+                    mask = object_mask(self.target.scene, self.target.mesh, sensor)
                     write_exr(path, {"RGB": image, "A": mask})
                 if progress is not None:
                     progress(index + 1, len(self.sensors))
@@ -167,9 +167,9 @@ class RenderPlan:
         cameras = [
             [describe(each), str(each.film()), each.sampler().class_name()] for each in self.sensors
         ]
-        scene = scene_key(self.scene, self.target), integrator_key(self.scene)
+        scene = scene_key(self.scene, self.target.mesh), integrator_key(self.scene)
         version = svu_mi.__version__, mi.__version__, mi.variant()
-        return Key(*scene, cameras, self.spp, self.seed, version).digest()[:KEY]
+        return Key(*scene, self.target.name, cameras, self.spp, self.seed, version).digest()[:KEY]
 
 
 def plan_render(
@@ -195,14 +195,14 @@ def plan_render(
         scene = load_scene(path, defines, trust=trust, float_textures=float_textures)
     label = str(path or "scene")
     light = find_environment(scene, label)
-    target = find_shape(scene, shape, label)
+    target = find_target(scene, shape, label)
     if views is None:
         sensors = find_sensors(scene, label, "pass --views N to place some")
     else:
-        sensors = sphere_sensors(target, views, resolution)
+        sensors = sphere_sensors(target.mesh, views, resolution)
     require_render([film_size(sensor) for sensor in sensors], spp, label)
     description = Description(
-        scene=path, defines=defines or {}, shape=target.id() or None,
+        scene=path, defines=defines or {}, shape=target.name,
         rendered={"spp": spp, "seed": seed},
     )  # fmt: skip
     return RenderPlan(

@@ -12,6 +12,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, make_mesh
+from svu_mi.errors import SceneError, excerpt
 from svu_mi.parameters import NAMES, PARAMETERS
 
 
@@ -65,7 +66,13 @@ def replace_material(capture: Capture, material: Any, mesh: Any = None) -> Repai
 
 
 def make_scene(objects: Sequence[Any]) -> Any:
-    """Make a scene of existing shapes and emitters."""
+    """Make a scene of existing objects, such as shapes, emitters and sensors."""
+    for thing in objects:  # the group of an instance is not accessible from Python
+        if thing.class_name() == "Instance":
+            raise SceneError(
+                f"Shape '{excerpt(thing.id())}' is an instance, so the scene cannot be changed; "
+                "put the shapes of its shapegroup into the scene instead."
+            )
     names = [thing.id() for thing in objects]
     parts = {f"part_{index}": thing for index, thing in enumerate(objects)}
     scene = mi.load_dict({"type": "scene", **parts}, optimize=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,14 @@ import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.float_textures import store_as_float
-from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.plugin_security import (
     pin_own_plugins,
     refuse_foreign,
     require_own_plugins,
     search_folder_first,
 )
-from svu_mi.capture.scene_files import check_files, check_xml
+from svu_mi.capture.scene_files import check_files, check_xml, name_shapes
 from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
@@ -84,6 +84,7 @@ def load_scene(
             if not trust:
                 refuse_foreign(state, str(path))
             check_files(state, str(path))
+            name_shapes(state)
             if float_textures:
                 store_as_float(state)
             return mi.parser.instantiate(config, state)
@@ -182,43 +183,12 @@ def require_light(capture: Any) -> None:
         )
 
 
-def find_shape(scene: Any, name: str | None, path: str) -> Any:
-    """Return the target: shape ``name``, else the only mesh, or the only principled one."""
-    shapes = list(scene.shapes())
-    named = [shape for shape in shapes if shape.id() == name]
-    if name is not None and not named:
-        raise SceneError(f"{path}: there is no shape '{name}'; the scene has {_ids(shapes)}.")
-    shape = named[0] if name is not None else _candidates(shapes, path)[0]
-    if not shape.is_mesh():
-        raise SceneError(
-            f"{path}: shape '{shape.id()}' ({shape.class_name()}) is not a triangle mesh; convert "
-            "it to a PLY or OBJ mesh with UVs."
-        )
-    mesh = arrays(shape)
-    _check_buffers(mesh, f"{path}: shape '{shape.id()}'")
-    _check_orientation(mesh, f"{path}: the normals of shape '{shape.id()}'")
-    return shape
-
-
-def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
-    bodies = [shape for shape in shapes if not shape.is_emitter()]
-    meshes = [shape for shape in bodies if shape.is_mesh()]
-    if not bodies:
-        raise SceneError(f"{path}: the scene has no shape; add the object as a mesh with UVs.")
-    if not meshes:
-        return bodies[:1]  # the caller raises an error with its id
-    principled = [s for s in meshes if s.bsdf() and "Principled" in str(s.bsdf())]
-    candidates = principled or meshes
-    if len(candidates) > 1:
-        raise SceneError(
-            f"{path}: several shapes could be the object ({_ids(candidates)}); choose one with "
-            "--shape ID."
-        )
-    return candidates
-
-
-def _ids(shapes: Sequence[Any]) -> str:
-    return ", ".join(f"'{shape.id()}'" for shape in shapes)
+def check_target(mesh: MeshArrays, label: str) -> None:
+    """Raise if the object's mesh is empty, damaged or inside out."""
+    if not len(mesh.faces):
+        raise SceneError(f"{label} has no faces; export its mesh again.")
+    _check_buffers(mesh, label)
+    _check_orientation(mesh, label)
 
 
 def is_closed(mesh: MeshArrays) -> bool:
@@ -254,6 +224,6 @@ def _check_orientation(mesh: MeshArrays, label: str) -> None:
     reach = float((area * np.linalg.norm(outward, axis=1)).sum())
     if flux < -0.3 * reach and is_closed(mesh):
         raise SceneError(
-            f"{label} point inwards (a mirrored to_world does this); set flip_normals on the shape "
-            "or remove the mirror."
+            f"{label}: its normals point inwards (a mirrored to_world does this); set flip_normals "
+            "on the shape or remove the mirror."
         )

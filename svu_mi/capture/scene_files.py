@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from os.path import exists, isfile  # unlike Path's, they raise nothing for long names
 from pathlib import Path
@@ -156,6 +157,28 @@ def check_files(state: Any, label: str) -> None:
             meshes[tuple(settings.values())] = settings
     for settings in meshes.values():
         _check_mesh(settings, f"{label}: {excerpt(_path(settings['filename']), LONGEST)}")
+
+
+def name_shapes(state: Any) -> None:
+    """Give ids to shapes without one: ``mesh.ply``, ``mesh.ply-0`` of several, or ``sphere-2``.
+
+    Shapes are counted from 0, in the order of ``mi.Scene.shapes()``.
+    """
+    children = [node for _, node in state.root.props.items() if hasattr(node, "index")]
+    nodes = [state.nodes[node.index()] for node in children]
+    shapes = [node for node in nodes if node.type == mi.ObjectType.Shape]
+    shapes = [node.props for node in shapes if node.props.plugin_name() != "shapegroup"]
+    taken = {node.props.id() for node in state.nodes}
+    files = [Path(str(props.get("filename", ""))).name for props in shapes]
+    counts = Counter(files)
+    for number, (props, file) in enumerate(zip(shapes, files, strict=True)):
+        if not props.id():
+            single = file and counts[file] == 1
+            name = file if single else f"{file or props.plugin_name()}-{number}"
+            while name in taken:
+                name += "-"
+            props.set_id(name)
+            taken.add(name)
 
 
 def _check_mesh(settings: dict[str, Any], label: str) -> None:

@@ -77,7 +77,8 @@ class SceneOptions:
     """Value of a $parameter of the scene, such as light=window; repeatable (default: the values
     in the scene)."""
     shape: str | None = None
-    """Id of the object; needed if the scene contains several shapes (default: the only one)."""
+    """The object, if the scene contains several shapes: an id, file name, id of a BSDF, number from
+    0, or largest principled; commas join several shapes to one object (default: the only one)."""
 
     def defines(self) -> dict[str, str]:
         """Return the -D words as a dictionary."""

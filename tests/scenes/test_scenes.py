@@ -16,7 +16,8 @@ from support.helpers import fails, run
 from svu_mi import scenes
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.scene import find_environment, find_sensors, find_shape, load_scene
+from svu_mi.capture.scene import find_environment, find_sensors, load_scene
+from svu_mi.capture.target import find_target
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError, OutputError
 from svu_mi.geometry.texels import texels
@@ -64,7 +65,7 @@ def test_the_object_scene_takes_a_folder_an_image_and_a_scale(tmp_path):
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_every_sensor_sees_the_object(name):
     scene = load_scene(scenes.path(name), SMALL)
-    shape = find_shape(scene, None, name)
+    shape = find_target(scene, None, name).mesh
     assert shape.id() == name
     covered = [object_mask(scene, shape, s).mean() for s in find_sensors(scene, name)]
     assert len(covered) == 24

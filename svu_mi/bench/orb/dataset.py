@@ -26,8 +26,9 @@ from svu_mi.bench.result_cache import Store
 from svu_mi.capture.importers.stanford_orb import SUFFIXES, TRUTH
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_world
+from svu_mi.capture.scene import find_environment, load_scene, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor, sphere_sensors
+from svu_mi.capture.target import find_target
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.light.latlong import directions, radiance_from
@@ -112,7 +113,7 @@ def render_dataset(
         for number, case in enumerate(lights, 1):
             with progress.stage(f"Rendering {case.title}"):
                 scene = load_scene(case.scene, {**case.defines, "max_depth": "6"})
-                shape = find_shape(scene, None, str(case.scene))
+                shape = find_target(scene, None, str(case.scene)).mesh
                 mesh = arrays(shape)
                 captures.append(_capture(f"{name}_scene{number:03d}", scene, shape, sizes))
         if mesh is not None:

@@ -20,7 +20,8 @@ from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import Timed, time_warm
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.capture.scene import load_scene
+from svu_mi.capture.target import find_target
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.evaluation.correlation import pearson
@@ -240,7 +241,7 @@ class RelightingScorer:
             SceneError: The other scene cannot be loaded.
         """
         scene = load_scene(case.scene, case.defines)
-        shape = find_shape(scene, capture.shape.id(), str(case.scene))
+        shape = find_target(scene, capture.shape.id(), str(case.scene)).mesh
         other = replace(even_views(capture, count), scene=scene, shape=shape, mesh=shape)
         masks = [object_mask(scene, shape, sensor) >= 1 for sensor in other.sensors]
         relit = cls(other, (), masks, spp, seed)
