@@ -40,6 +40,7 @@ from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.scene import load_scene
+from svu_mi.capture.target import find_target
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrap_cached
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
@@ -135,6 +136,12 @@ def scene(folder: Path, out: Path) -> None:
     except SvuError as error:
         assert ".so" not in str(error) or "Mitsuba would run" in str(error), error
         raise
+
+
+def target(folder: Path, out: Path) -> None:
+    """Choose the object of a scene of primitives by a word."""
+    path, word = folder / "scene.xml", folder / "shape.txt"
+    find_target(load_scene(path), word.read_text("latin-1") if word.is_file() else "", str(path))
 
 
 def kept_uvs(folder: Path, out: Path) -> None:
@@ -324,6 +331,16 @@ def _scene(folder: Path) -> None:
         (folder / place / "evil.so").write_text("no library, and Mitsuba would say so")
 
 
+def _shapes(folder: Path) -> None:
+    """Primitives with and without ids, and the word that chooses two of them."""
+    (folder / "scene.xml").write_text(
+        '<scene version="3.0.0">\n<shape type="sphere" id="body"/>\n<shape type="cube"/>\n'
+        '<shape type="disk">\n<transform name="to_world">\n<scale x="2" y="1" z="3"/>\n'
+        '</transform>\n<bsdf type="principled" id="paint"/>\n</shape>\n</scene>'
+    )
+    (folder / "shape.txt").write_text("body, 1,paint")
+
+
 def _all_formats() -> Iterator[Format]:
     for kind in ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB"):
         make = partial(_exr, compression=getattr(OpenEXR, f"{kind}_COMPRESSION"))
@@ -363,6 +380,7 @@ def _all_formats() -> Iterator[Format]:
     yield Format(name="response", make=_response, read=response)
     yield Format(name="capture", make=write_scene_capture, read=capture, share=4)
     yield Format(name="scene", make=_scene, read=scene, targets="*.xml", share=2)
+    yield Format(name="shapes", make=_shapes, read=target, share=2)
     make = partial(_made_again, said=[])
     yield Format(name="unwrapped", make=make, read=kept_uvs, share=4)
 
