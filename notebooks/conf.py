@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 from pathlib import Path
 from typing import Any, get_args
 
@@ -65,8 +66,7 @@ light = svu.estimate_light(capture, texels, options)
 doctest_global_cleanup = "os.chdir('/')"
 
 # Substitutions that docstrings of plugins use, as in Mitsuba's manual.
-TYPES = "bool exposed false float int rgb string texture true".split()
-rst_prolog = "\n".join(f".. |{name}| replace:: ``{name}``" for name in TYPES)
+TYPES = re.compile(r"\|(bool|exposed|false|float|int|rgb|string|texture|true)\|")
 MANUAL = "https://mitsuba.readthedocs.io/en/stable/src/generated/plugins_{}s.html#{}"
 
 CONTENTS = """
@@ -176,7 +176,7 @@ def read_docstring(
     for before, line in zip(["", *lines], lines, strict=False):
         if line.startswith(" ") and not before and last and not last.startswith((" ", "*", "..")):
             text += ["::", ""]
-        text.append(line)
+        text.append(TYPES.sub(r"``\1``", line))
         last = line or last
     # As an attribute, text before a colon on the first line would be read as its type.
     kind = "method" if what in ("attribute", "property") else what

@@ -44,9 +44,9 @@ def test_the_loop_recovers_png_textures(tmp_path, monkeypatch):
     script = re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
     names: dict[str, Any] = {}
     exec(compile(script, PAGE.name, "exec"), names)
-    seen = names["texels"].to_image(np.array(names["estimate"].coverage)) > 0
+    seen = names["texels"].to_image(np.array(names["estimate"].coverage)) >= 3
     found = np.array(names["optimizer"][names["keys"]["base_color"]])[seen]
-    assert seen.mean() > 0.5 and found.min() >= 0 and found.max() <= 1
+    assert seen.mean() > 0.4 and found.min() >= 0 and found.max() <= 1
     wanted = srgb_to_linear(truth["base_color"])[seen]
     assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.9
 
