@@ -58,6 +58,7 @@ def load_capture(
 
     Photographs are named ``view_0000.exr``, ... in the order of the sensors, or after the ids of
     the sensors. Files with other names are assigned in natural order, if there is one per sensor.
+    8-bit textures of principled materials are stored as float32, so that gradients pass.
 
     Args:
         path: Path of a Mitsuba XML scene, or of a capture folder with a ``capture.json``.

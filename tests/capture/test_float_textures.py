@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.png_scene import write_png_scene
+from support.png_scene import srgb_to_linear, write_png_scene
 
 import svu_mi as svu
 from svu_mi.capture.content_hash import capture_key, scene_key
@@ -14,11 +14,6 @@ from svu_mi.capture.rendering import plan_render
 from svu_mi.capture.scene import load_scene
 
 CODES = np.arange(256).reshape(16, 16, 1)
-
-
-def srgb_to_linear(encoded: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, float64."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def data(scene, name):
@@ -35,7 +30,7 @@ def test_float_textures_have_the_values_of_the_files(tmp_path, channels):
     plain, floats = load_scene(path), load_scene(path, float_textures=True)
     kinds = {name: type(data(floats, name)).__name__ for name in codes}
     assert kinds == {"base_color": "TensorXf", "roughness": "TensorXf", "metallic": "TensorXf16"}
-    wanted = {"base_color": srgb_to_linear(color / 255), "roughness": CODES / 255,
+    wanted = {"base_color": srgb_to_linear(color), "roughness": CODES / 255,
               "metallic": CODES / 255}  # fmt: skip
     for name, values in wanted.items():
         tolerance = 3e-4 if name == "metallic" else 5e-7

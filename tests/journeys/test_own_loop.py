@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.png_scene import write_png_scene
+from support.png_scene import srgb_to_linear, write_png_scene
 
 import svu_mi as svu
 from svu_mi.capture.scene import load_scene
@@ -17,7 +17,7 @@ from svu_mi.errors import OptionError, SceneError
 
 PAGE = Path(__file__).parents[2] / "notebooks" / "own_loop.md"
 SIZE = 32
-CODES = np.array([[200, 60, 40], [60, 160, 90], [230, 210, 90]], np.uint8)  # sRGB
+CODES = np.array([[200, 60, 40], [60, 160, 90], [230, 210, 90]], np.uint8)
 
 
 def checks() -> dict[str, np.ndarray]:
@@ -27,11 +27,6 @@ def checks() -> dict[str, np.ndarray]:
     roughness, metallic = np.array([80, 120, 160], np.uint8), np.array([0, 0, 255], np.uint8)
     return {"base_color": CODES[cell], "roughness": roughness[cell][..., None],
             "metallic": metallic[cell][..., None]}  # fmt: skip
-
-
-def srgb_to_linear(codes: np.ndarray) -> np.ndarray:
-    encoded = codes / 255
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 @pytest.mark.slow

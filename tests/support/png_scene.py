@@ -18,6 +18,12 @@ TEXTURE = """<texture type="bitmap" name="{name}"><string name="filename" value=
 <boolean name="raw" value="{raw}"/><string name="filter_type" value="nearest"/></texture>"""
 
 
+def srgb_to_linear(codes: np.ndarray) -> np.ndarray:
+    """Decode 8-bit sRGB (IEC 61966-2-1), float64."""
+    encoded = codes / 255
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
 def write_png(path: Path, codes: np.ndarray) -> None:
     """Write (H, W, C) codes of 8 or 16 bits as they are."""
     bitmap = mi.Bitmap(np.ascontiguousarray(codes))
