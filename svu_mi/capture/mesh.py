@@ -16,8 +16,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.io.files import mark_text, replacing
-from svu_mi.errors import MeshError, excerpt
+from svu_mi.core.io.files import mark_text, refusing, replacing
+from svu_mi.core.io.schema import Axis, Field, checked
+from svu_mi.errors import MeshError, SvuError, excerpt
 
 # Errors of Mitsuba for a damaged mesh; the second if its message contains bytes of the file.
 READING = (RuntimeError, UnicodeDecodeError)
@@ -122,6 +123,18 @@ def missing_corner(mesh: Any) -> str | None:
     if faces.size == 0 or faces.max() < count:
         return None
     return f"a face refers to vertex {faces.max()}, which does not exist ({count} vertices)"
+
+
+def check_buffers(mesh: MeshArrays, label: str, error: type[SvuError], largest: float) -> None:
+    """Raise ``error`` for faces with missing vertices, and for NaN and large numbers."""
+    rows, last = Axis("vertices"), len(mesh.positions) - 1
+    points = Field("f", (rows, 3), -largest, largest)
+    uvs = Field("f", (rows, 2), -largest, largest, default=None)
+    with refusing(label, "export the mesh again", error):
+        checked(vars(mesh), {
+            "positions": points, "normals": points._replace(default=None), "uvs": uvs,
+            "faces": Field("iu", (Axis("triangles"), 3), 0, last),
+        })  # fmt: skip
 
 
 def read_ply(path: Path) -> MeshArrays:

@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.float_textures import store_as_float
-from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh import MeshArrays, check_buffers
 from svu_mi.capture.plugin_security import (
     pin_own_plugins,
     refuse_foreign,
@@ -21,6 +21,7 @@ from svu_mi.capture.plugin_security import (
     search_folder_first,
 )
 from svu_mi.capture.scene_files import check_files, check_xml, name_shapes
+from svu_mi.core.io.schema import LARGEST
 from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
@@ -187,7 +188,7 @@ def check_target(mesh: MeshArrays, label: str) -> None:
     """Raise if the object's mesh is empty, damaged or inside out."""
     if not len(mesh.faces):
         raise SceneError(f"{label} has no faces; export its mesh again.")
-    _check_buffers(mesh, label)
+    check_buffers(mesh, label, SceneError, LARGEST)
     _check_orientation(mesh, label)
 
 
@@ -198,15 +199,6 @@ def is_closed(mesh: MeshArrays) -> bool:
     edges = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
     return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
-
-
-def _check_buffers(mesh: MeshArrays, label: str) -> None:
-    """Raise for damaged buffers, which Mitsuba does not check."""
-    for name, values in (("positions", mesh.positions), ("normals", mesh.normals)):
-        if values is not None and not np.isfinite(values).all():
-            raise SceneError(f"{label} has {name} that are NaN or infinite; export its mesh again.")
-    if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.positions):
-        raise SceneError(f"{label} has a face with a missing vertex; export its mesh again.")
 
 
 def _check_orientation(mesh: MeshArrays, label: str) -> None:

@@ -15,7 +15,7 @@ LONGEST = 240  # bytes of a file name; file systems take 255, and .NAME.svu-draf
 
 
 def fits_file_name(name: str) -> bool:
-    """Return whether a name, with what svu adds to it, is short enough for file systems."""
+    """Return whether a name is short enough for a file and its temporary neighbours."""
     try:
         return len(os.fsencode(name)) <= LONGEST
     except UnicodeEncodeError:  # unpaired surrogates, which JSON allows

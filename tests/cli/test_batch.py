@@ -86,7 +86,7 @@ def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
     (["name", "a"], "has other columns"),
     (["capture", "shelf/c"], "line 2: 'shelf/c' is not a capture"),
     (["capture,name", "shelf/a,../b"], "line 2: '../b' is not a valid folder name"),
-    (["capture,name", "shelf/a,x", "shelf/a,X"], "two captures have the name 'X'"),
+    (["capture,name", "shelf/a,x", "shelf/a,X"], "the capture name 'X' is used twice; rename"),
     (["capture"], "contains no captures; expected one row per capture"),
     (["capture,resolution", "shelf/a,16 --trust"], "line 2: '16 --trust' is not a resolution"),
     (["capture,resolution", "shelf/a,16 8 4"], "line 2: '16 8 4' is not a resolution"),

@@ -147,8 +147,8 @@ def test_reading_says_what_is_wrong_and_nothing_else(tmp_path, capfd):
     middle = len(data) // 2
     (tmp_path / "folder.exr").mkdir()
     for name, content, sentence in (
-        ("missing.exr", None, "no such file"),
-        ("folder.exr", None, "a folder"),
+        ("missing.exr", None, "No such file or directory; give an EXR file"),
+        ("folder.exr", None, "Is a directory; give"),
         ("empty.exr", b"", "empty"),
         ("png.exr", b"\x89PNG\r\n", "not an EXR"),
         ("magic.exr", data[:4], "damaged"),

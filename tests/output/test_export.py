@@ -439,9 +439,9 @@ def test_damaged_results_are_refused(result, tmp_path, file, content, error, sen
 @pytest.mark.parametrize(("changes", "sentence"), [
     ({"uvs": None}, "no UVs"),
     ({"faces": np.zeros((0, 3), int)}, "no triangles"),
-    ({"faces": np.array([[0, 1, 10**6]])}, "a missing vertex"),
-    ({"positions": np.full_like(ball().positions, np.nan)}, "positions that are NaN"),
-    ({"uvs": np.full_like(UVS, np.inf)}, "UVs that are NaN or infinite"),
+    ({"faces": np.array([[0, 1, 10**6]])}, "faces must be numbers for 1 triangles x 3 in"),
+    ({"positions": np.full_like(ball().positions, np.nan)}, "positions must .*, got nan"),
+    ({"uvs": np.full_like(UVS, np.inf)}, "uvs must be numbers .*, got inf"),
 ])  # fmt: skip
 def test_meshes_that_cannot_be_exported(asset, changes, sentence):
     with pytest.raises(MeshError, match=sentence):

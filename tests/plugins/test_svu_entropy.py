@@ -160,7 +160,7 @@ def test_xml_finds_the_map_beside_the_scene(tmp_path, file, values):
         ({}, r"needs exactly one map, as a filename or a nested texture, got 0\.$"),
         ({"file": "map.exr"}, r"got 0; there is no property 'file'\.$"),
         ({"map": "a.exr", "filename": "b.exr"}, r"got 2\.$"),
-        ({"map": "missing.exr"}, "missing.exr: no such file"),
+        ({"map": "missing.exr"}, "missing.exr: No such file"),
         ({"colormap": "jet"}, "unknown colormap 'jet'; use grey, viridis, inferno or none"),
         ({"range_min": 1.0, "range_max": 1.0}, "range_min must be below"),
         ({"filter_type": "cubic"}, "nearest or bilinear"),

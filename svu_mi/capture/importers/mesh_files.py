@@ -27,7 +27,7 @@ from svu_mi.capture.importers.mesh_materials import (
 )
 from svu_mi.capture.importers.repair_normals import repair_normals
 from svu_mi.capture.importers.source_files import safe_path
-from svu_mi.capture.mesh import MeshArrays, flipped_v
+from svu_mi.capture.mesh import MeshArrays, check_buffers, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -112,13 +112,8 @@ def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
         normals=_concatenate([mesh.normals for mesh in meshes]),
         uvs=_concatenate([mesh.uvs for mesh in meshes]),
     )
-    for name, values, width in (("positions", mesh.positions, 3), ("UVs", mesh.uvs, 2)):
-        if values is not None and values.shape != (len(mesh.positions), width):
-            raise MeshError(f"{path}: {name} and vertices differ in number; export it again.")
-        if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
-            raise MeshError(f"{path}: some {name} are NaN, infinite or too large; export it again.")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
-        raise MeshError(f"{path}: a triangle refers to a missing vertex; export it again.")
+    # Normals may be invalid: they are repaired.
+    check_buffers(replace(mesh, normals=None), str(path), MeshError, MAX_NUMBER)
     # Remove unused vertices: scans have some far away.
     used, faces = np.unique(mesh.faces, return_inverse=True)
     if len(used) == len(mesh.positions):

@@ -83,12 +83,8 @@ def find_photographs(
 
 def list_pictures(folder: Path) -> list[Path]:
     """Return the pictures in a folder sorted by name, without hidden files."""
-    try:
+    with refusing(folder, "change its permissions"):
         files = sorted(folder.iterdir())
-    except OSError as error:
-        raise CaptureError(
-            f"{folder}: cannot be read ({error.strerror}); change its permissions."
-        ) from error
     known = [file for file in files if file.suffix.lower() in SUFFIXES]
     return [file for file in known if not file.name.startswith(".") and file.is_file()]
 

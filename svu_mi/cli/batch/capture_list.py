@@ -140,14 +140,12 @@ def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
 def _require_names(path: Path, items: Sequence[BatchItem]) -> None:
     names = [item.name.casefold() for item in items]  # some file systems ignore case
     for number, name in enumerate(names):
-        if name in (INDEX, TABLE) or not fits_file_name(name):
-            reason = "reserved" if name in (INDEX, TABLE) else "too long"
+        reasons = {
+            "reserved": name in (INDEX, TABLE), "too long": not fits_file_name(name),
+            "used twice": name in names[:number],
+        }  # fmt: skip
+        for reason in (reason for reason, holds in reasons.items() if holds):
             raise OptionError(
                 f"{path}: the capture name {excerpt(items[number].name, LONGEST)!r} is {reason}; "
                 "rename the capture, or change its entry in the column name of the table."
-            )
-        if name in names[:number]:
-            raise OptionError(
-                f"{path}: two captures have the name {items[number].name!r}; give each its own "
-                "name in the column name."
             )

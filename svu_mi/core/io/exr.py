@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from svu_mi.core.io.files import may_hold, replacing, stamp
+from svu_mi.core.io.files import may_hold, refusing, replacing, stamp
 from svu_mi.core.silence_openexr import quiet
 from svu_mi.core.validation import require_memory
 from svu_mi.errors import CaptureError, OutputError, ShapeError
@@ -220,15 +220,8 @@ def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | f
 
 
 def _check_magic(path: Path) -> None:
-    if path.is_dir():
-        raise CaptureError(f"{path}: a folder, not an EXR file.")
-    try:
-        with path.open("rb") as stream:
-            magic = stream.read(len(MAGIC))
-    except FileNotFoundError as error:
-        raise CaptureError(f"{path}: no such file.") from error
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
+    with refusing(path, "give an EXR file"), path.open("rb") as stream:
+        magic = stream.read(len(MAGIC))
     if magic != MAGIC:
         what = "an empty file" if not magic else "not an EXR file, despite its name"
         raise CaptureError(f"{path}: {what}; export it again.")

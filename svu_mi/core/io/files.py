@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-from svu_mi.errors import CaptureError, OutputError, excerpt
+from svu_mi.errors import CaptureError, OutputError, SvuError, excerpt
 
 try:
     import fcntl
@@ -165,12 +165,13 @@ def may_hold(path: Path, size: int) -> bool:
 
 
 @contextlib.contextmanager
-def refusing(label: object, remedy: str) -> Iterator[None]:
-    """Turn errors of a reader into a CaptureError: ``LABEL: REASON; REMEDY.``"""
+def refusing(label: object, remedy: str, kind: type[SvuError] = CaptureError) -> Iterator[None]:
+    """Turn errors of a reader into a sentence: ``LABEL: REASON; REMEDY.``"""
     try:
         yield
     except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{label}: {excerpt(error, 300)}; {remedy}.") from error
+        reason = getattr(error, "strerror", None) or excerpt(error, 300)
+        raise kind(f"{label}: {reason}; {remedy}.") from error
 
 
 def read_json(path: Path) -> Any:

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from svu_mi.core.io.exr import read_header
-from svu_mi.core.io.files import is_temporary, read_json
+from svu_mi.core.io.files import is_temporary, read_json, refusing
 from svu_mi.core.io.hashes import digest_of_file
 from svu_mi.core.io.schema import NAMES, TEXT, Field, checked
 from svu_mi.errors import CaptureError, excerpt
@@ -126,11 +126,8 @@ def marks_of(path: Path) -> tuple[str, str]:
     if path.suffix.lower() == ".exr":
         attributes = read_header(path).attributes
         return str(attributes.get(RUN, "")), str(attributes.get(CAPTURE, ""))
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(HEAD).decode("ascii", "replace")
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
+    with refusing(path, "change its permissions"), path.open("rb") as stream:
+        head = stream.read(HEAD).decode("ascii", "replace")
     run, capture = (re.search(rf"{mark}=([0-9a-f]+)", head) for mark in (RUN, CAPTURE))
     return run[1] if run else "", capture[1] if capture else ""
 

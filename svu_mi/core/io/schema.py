@@ -49,7 +49,7 @@ class Field(NamedTuple):
     Attributes:
         kind: accepted letters of ``dtype.kind``, one type such as ``f4``, or a schema of an object.
         shape: length or ``Axis`` of each axis of an array, or of nested lists.
-        low, high: range of the numbers, which excludes NaN; if low is None, any are accepted.
+        low, high: range of the numbers, which excludes NaN; without ``low``, any are accepted.
         unit: unit in messages.
         default: value of a missing field, and of null in JSON.
     """

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.content_hash import capture_key
-from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.mesh import MeshArrays, arrays, check_buffers
 from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.core.identifiers import plain_name
+from svu_mi.core.io.schema import LARGEST
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded_image
 from svu_mi.output.object_views import Axis, nearest_axis, up_direction
@@ -130,12 +131,7 @@ def _check_mesh(name: str, mesh: MeshArrays) -> None:
         raise MeshError(f"'{name}' has no UVs for its textures; unwrap it first.")
     if not len(mesh.faces):
         raise MeshError(f"'{name}' has no triangles.")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
-        raise MeshError(f"'{name}': a triangle refers to a missing vertex.")
-    buffers = {"positions": mesh.positions, "normals": mesh.normals, "UVs": mesh.uvs}
-    for words, values in buffers.items():
-        if values is not None and not np.isfinite(values).all():
-            raise MeshError(f"'{name}' has {words} that are NaN or infinite; repair the mesh.")
+    check_buffers(mesh, f"'{name}'", MeshError, LARGEST)
 
 
 def _check_values(name: str, image: np.ndarray, maximum: float) -> None:
