@@ -195,10 +195,9 @@ def _check_mesh(settings: dict[str, Any], label: str) -> None:
 
 
 def _check_serialized(path: Path, index: int) -> None:
-    """Raise ValueError if a mesh declares more than its file can contain.
+    """Raise ValueError if a mesh declares more than its file can contain; Mitsuba allocates it.
 
-    Mitsuba allocates memory for any number, or keeps its lower 32 bits. A file is a sequence of
-    compressed meshes, their offsets, and their number.
+    A file is a sequence of compressed meshes, their offsets, and their number.
     """
     with path.open("rb") as file:
         version = struct.unpack("<HH", file.read(4))[1]

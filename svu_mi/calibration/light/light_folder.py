@@ -156,10 +156,7 @@ def load_light(path: str | Path) -> LightEstimate:
 
 
 def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
-    """Return the light from arrays; raise ValueError if invalid.
-
-    The misfit is NaN for light that was not tested: fixed light if it moves, or the reverse.
-    """
+    """Return the light from arrays, where a misfit that was not tested (fixed, moving) is NaN."""
     has_gains = not GAIN_ARRAYS.keys().isdisjoint(arrays)
     known = {"misfit": np.nan_to_num(arrays["misfit"])} if "misfit" in arrays else {}
     checked(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}), closed=True)

@@ -144,7 +144,7 @@ def _require_names(path: Path, items: Sequence[BatchItem]) -> None:
             "reserved": name in (INDEX, TABLE), "too long": not fits_file_name(name),
             "used twice": name in names[:number],
         }  # fmt: skip
-        for reason in (reason for reason, holds in reasons.items() if holds):
+        if reason := next((reason for reason, holds in reasons.items() if holds), None):
             raise OptionError(
                 f"{path}: the capture name {excerpt(items[number].name, LONGEST)!r} is {reason}; "
                 "rename the capture, or change its entry in the column name of the table."

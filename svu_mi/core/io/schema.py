@@ -1,11 +1,7 @@
 """Declared fields of JSON records and NPZ files: type, shape, range and unit, in a table per file.
 
-    CAMERA = {
-        "to_world": Field(NUMBER, (4, 4), -1e30, 1e30),
-        "x_fov": Field(NUMBER, (), 1e-6, 179.9, "degrees"),
-        "name": Field(TEXT, default=""),
-    }
-    checked({"to_world": [[...], ...], "x_fov": 35}, CAMERA)["name"]
+    CAMERA = {"x_fov": Field(NUMBER, (), 1e-6, 179.9, "degrees"), "name": Field(TEXT, default="")}
+    checked({"x_fov": 35}, CAMERA)["name"]
 
 Messages lack the file and the remedy, which the caller adds.
 """
