@@ -17,7 +17,7 @@ import numpy as np
 from support import mutations
 from support.fuzz_formats import Format, capture, write_scene_capture
 from support.helpers import made_up_light
-from support.mutations import BINARY
+from support.mutations import BINARY, LARGEST
 from svu_mi.calibration.light.light_folder import load_light, save_light
 from svu_mi.capture import capture_folder
 from svu_mi.cli.batch.runner import _figures_of
@@ -190,7 +190,7 @@ def rebuilt_npz(data: bytes, draw: random.Random) -> bytes:
             value = draw.choice([np.nan, np.inf, -np.inf, -1, 1e30, -0.0])
             arrays[name].flat[draw.randrange(array.size)] = value
         case 6 if array.dtype.kind == "U":
-            arrays[name] = np.array(mutations.retyped(str(array).encode(), draw).decode())
+            arrays[name] = np.array(mutations.retyped(str(array).encode(), draw)[:LARGEST].decode())
         case 7:
             arrays[name] = np.array(draw.choice([-1, 10**9, 2**62, 0, True, 1.5, 1j, b"x"]))
         case _:
