@@ -124,19 +124,15 @@ def _observations(
 
 def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimate:
     """Compute the posterior by ``method``, and its entropy."""
-    observed, progress = inputs.observed, inputs.progress
+    observed = inputs.observed
     sure: Any = inflated(switches, observed.capture)
     from_views = _from_statistics if isinstance(sure, AngularPreset) else _from_spectra
-    posterior = from_views(inputs, sure)
-    with progress.stage("Computing entropy"):
-        result = Estimate(
-            method=method, preset=switches, texels=observed.texels, posterior=posterior,
-            coverage=to_drjit(mi.UInt32, view_counts(observed, switches)),
-            seen_per_view=observed.visibility.per_view, skipped=inputs.plan.skipped,
-            timings=progress.timings, observed=observed, prior=inputs.prior,
-        )  # fmt: skip
-        dr.eval(result.entropy)
-    return result
+    return Estimate(
+        method=method, preset=switches, texels=observed.texels, posterior=from_views(inputs, sure),
+        coverage=to_drjit(mi.UInt32, view_counts(observed, switches)),
+        seen_per_view=observed.visibility.per_view, skipped=inputs.plan.skipped,
+        timings=inputs.progress.timings, observed=observed, prior=inputs.prior,
+    )  # fmt: skip
 
 
 def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
@@ -145,12 +141,11 @@ def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Poster
     # Unseen texels count, too: the memory estimate is printed before visibility is traced.
     if observed.texels.count > TILE:
         return tiled_posterior(inputs, switches)
-    if switches.traced:
-        with progress.stage("Tracing occlusion"):
-            observed.light_visibility(switches.cells, occluded=switches.occluded)
-    with progress.stage("Gathering statistics"):
-        factors = gather_factors(inputs, switches)
-    return statistics_posterior(inputs, switches, factors)
+    factors = gather_factors(inputs, switches)
+    with progress.stage("Computing entropy"):
+        posterior = statistics_posterior(inputs, switches, factors)
+        dr.eval(posterior.entropy())
+    return posterior
 
 
 def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
@@ -168,11 +163,13 @@ def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
             skip_unseen=len(observed.seen) < observed.texels.count,
         )  # fmt: skip
     with progress.stage("Computing entropy"):
-        return spectrum_posterior(
+        posterior = spectrum_posterior(
             spectra.incoming, spectra.outgoing, inputs.grid, preset=switches,
             prefilter=observed.lighting.prefilter, prior=inputs.prior,
             observed=observed.visibility.coverage > 0, irradiance=irradiance, copies=plan.copies,
         )  # fmt: skip
+        dr.eval(posterior.entropy())
+    return posterior
 
 
 def materialized(result: Estimate, progress: Progress | None = None) -> Estimate:

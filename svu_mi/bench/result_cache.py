@@ -5,18 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 
 import svu_mi
+from svu_mi.core.code_digest import digest_of_code
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.output.run_record import write_manifest
-
-AROUND = ("bench", "cli", "output")  # folders of svu_mi that do not affect results
 
 
 def key_of(*parts: Any) -> str:
@@ -29,15 +26,9 @@ def key_of(*parts: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-@cache
 def code_now() -> str:
-    """Return a digest of code, libraries and device."""
-    digest, root = hashlib.sha256(), Path(svu_mi.__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        if path.relative_to(root).parts[0] not in AROUND:
-            digest.update(path.read_bytes())
-    versions = (mi.__version__, dr.__version__, mi.variant() or "", str(dr.thread_count()))
-    return key_of(digest.hexdigest(), versions)
+    """Return a digest of code, libraries, device and number of threads."""
+    return key_of(digest_of_code(), dr.thread_count())
 
 
 class Store:

@@ -10,6 +10,7 @@ import numpy as np
 
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Rounding, Saturation
+from svu_mi.core.io.array_cache import ArrayCache
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class Capture:
         found_light: The ``LightEstimate`` in use (see ``with_light``); None if the light was given.
         buffer: Contiguous pixels of ``images`` for kernels; None for captures made in memory.
             Not used if ``images`` were replaced by other arrays.
+        cache: results of estimates that other commands can read; keeps nothing by default.
 
     Example:
         >>> capture.count
@@ -81,6 +83,7 @@ class Capture:
     light_uncertainty: LightUncertainty | None = None
     found_light: Any | None = None
     buffer: PixelBuffer | None = None
+    cache: ArrayCache = ArrayCache()
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -38,7 +38,7 @@ GROUPS = {
     "diffusion model": "diffusion",
     OTHERS: "",
     "output": "output overwrite pictures title",
-    "run": "memory threads variant trust verbose",
+    "run": "memory cache cache-size threads variant trust verbose",
 }
 TITLES = {name: title for title, names in GROUPS.items() for name in names.split()}
 

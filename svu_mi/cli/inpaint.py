@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand
-from svu_mi.cli.loading import CaptureCommand
+from svu_mi.cli.loading import LitCommand
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -33,7 +33,7 @@ Weights = Annotated[Path | None, arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inpaint(CaptureCommand, ResultCommand):
+class Inpaint(LitCommand, ResultCommand):
     """Fill unseen texels of recovered textures.
 
     Predicts them from similar texels (same part, height or symmetric position; weighted by
@@ -43,7 +43,6 @@ class Inpaint(CaptureCommand, ResultCommand):
 
     command = "inpaint"
     first = "scene recovered output above model light images shape overwrite"
-    light: opt.GivenLight = None
     output: opt.Output = Path("out/filled")
     recovered: From
     """Folder written by svu recover for the same capture."""
@@ -86,7 +85,7 @@ class Inpaint(CaptureCommand, ResultCommand):
         textures, model = read_textures(self.recovered), self._load_model(progress)
         size = textures.resolution
         need = partial(Need, "recover", resolution=size, model="default")
-        capture, texels = self.load_with_light(progress, need, size, self.light)
+        capture, texels = self.load_with_light(progress, need, size)
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("Estimating the uncertainty of textures"):

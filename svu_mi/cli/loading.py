@@ -67,19 +67,6 @@ class CaptureCommand(BaseCommand):
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
-    def load_with_light(
-        self, progress: Progress, need: NeedFunc, size: tuple[int, int], light: Path | None,
-        **options: Any,
-    ) -> tuple[Capture, Texels]:  # fmt: skip
-        """Load the capture with the given light, its own, or an estimated one."""
-        from svu_mi.calibration.light.resolve_light import with_resolved_light
-
-        need = with_light_search(need) if light is None else need
-        capture, grid = self.load(progress, need, size, **options)
-        gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
-        lit = with_resolved_light(capture, light, elsewhere=folder, gains=gains, progress=progress)
-        return lit, grid
-
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
         self.capture.check(self.spp)
@@ -121,11 +108,37 @@ class CaptureCommand(BaseCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimateCommand(CaptureCommand):
+class LitCommand(CaptureCommand):
+    """Options of every command that needs the light and statistics of a capture."""
+
+    light: opt.GivenLight = None
+    kept: opt.CacheOptions = opt.CacheOptions()
+
+    def load_with_light(
+        self, progress: Progress, need: NeedFunc, size: tuple[int, int], **options: Any
+    ) -> tuple[Capture, Texels]:
+        """Load the capture with the given light, its own, or an estimated one, and its cache."""
+        from svu_mi.calibration.light.resolve_light import with_resolved_light
+
+        need = with_light_search(need) if self.light is None else need
+        capture, grid = self.load(progress, need, size, **options)
+        gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
+        lit = with_resolved_light(
+            capture, self.light, elsewhere=folder, gains=gains, progress=progress
+        )
+        return self.kept.of(lit, progress), grid
+
+    def check(self) -> None:
+        """Refuse invalid options (OptionError)."""
+        super().check()
+        _ = self.kept.bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateCommand(LitCommand):
     """Options of every command that estimates the posterior."""
 
     estimation: opt.EstimateOptions = opt.EstimateOptions()
-    light: opt.GivenLight = None
     resolution: opt.Size = ()
 
     def check(self) -> None:
@@ -143,7 +156,7 @@ class EstimateCommand(CaptureCommand):
         from svu_mi.output.texture_files import require_textures_of
 
         need = partial(Need, command, resolution=size, model=self.estimation.model)
-        capture, grid = self.load_with_light(progress, need, size, self.light)
+        capture, grid = self.load_with_light(progress, need, size)
         if recovered is not None:
             require_textures_of(capture, recovered)
         return capture, self.estimation.estimate(progress, capture, grid, **options)

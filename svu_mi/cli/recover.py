@@ -11,7 +11,7 @@ from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand, interruptible
-from svu_mi.cli.loading import CaptureCommand
+from svu_mi.cli.loading import LitCommand
 from svu_mi.core.io.output_folder import CHECKPOINT, Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -30,7 +30,7 @@ From = Annotated[Path | None, arg(name="start", metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recover(CaptureCommand, ResultCommand):
+class Recover(LitCommand, ResultCommand):
     """Recover base colour, roughness and metallic textures.
 
     Writes EXR textures, recovered.xml (a Mitsuba scene with them), coverage.exr, entropy.exr,
@@ -39,7 +39,6 @@ class Recover(CaptureCommand, ResultCommand):
 
     command, keep = "recover", CHECKPOINT
     first = "scene output resolution light images method preset sharing draws resume"
-    light: opt.GivenLight = None
     output: opt.Output = Path("out/textures")
     resolution: opt.Resolution = (512,)
     method: Literal["sh", "path", "sh+path"] = "sh"
@@ -122,7 +121,7 @@ class Recover(CaptureCommand, ResultCommand):
         options = self._options()  # fail before any work
         size = opt.parse_resolution(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
-        capture, texels = self.load_with_light(progress, need, size, self.light, again=self.resume)
+        capture, texels = self.load_with_light(progress, need, size, again=self.resume)
         _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
         recovery = recover(

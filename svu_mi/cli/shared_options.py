@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from svu_mi.recovery.svbrdf_textures import Textures
 
 UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes
+CACHE = "cache"  # folder in a capture, which stays there if the capture is replaced
 SPECULAR = "specular"  # specular reflectance Ks of power spectra
 
 Output = Annotated[Path, arg(aliases=["-o"], metavar="FOLDER", help="Folder of the results.")]
@@ -147,6 +148,32 @@ class CaptureOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CacheOptions:
+    """Results that other commands can read."""
+
+    cache: bool = True
+    """Keep statistics in the folder cache of the capture, so that further commands need not
+    compute them again."""
+    cache_size: Annotated[str, arg(metavar="SIZE")] = "1G"
+    """Largest size of the folder cache; its least recently used files are removed."""
+
+    def of(self, capture: Capture, progress: Progress) -> Capture:
+        """Return the capture with its cache, if it is a capture folder."""
+        from svu_mi.capture.capture_folder import FILE
+        from svu_mi.core.io.array_cache import ArrayCache
+
+        if not self.cache or capture.source is None or not (capture.source / FILE).is_file():
+            return capture
+        kept = ArrayCache(capture.source / CACHE, self.bytes, progress)
+        return dataclasses.replace(capture, cache=kept)
+
+    @property
+    def bytes(self) -> float:
+        """Largest size in bytes."""
+        return parse_bytes(self.cache_size, "--cache-size") or 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class EstimateOptions:
     """Options of the estimate of the posterior."""
 
@@ -204,7 +231,7 @@ def parse_resolution(resolution: tuple[int, ...]) -> tuple[int, int]:
     return size
 
 
-def parse_bytes(text: str) -> float | None:
+def parse_bytes(text: str, option: str = "--memory") -> float | None:
     """Return the bytes of a size such as "4G" or "800M"; None for an empty text."""
     if not text:
         return None
@@ -214,7 +241,7 @@ def parse_bytes(text: str) -> float | None:
     except ValueError:
         size = -1
     if not 0 <= size < math.inf:
-        raise OptionError(f"--memory takes a size such as 4G or 800M, got {text!r}.")
+        raise OptionError(f"{option} takes a size such as 4G or 800M, got {text!r}.")
     return size
 
 

@@ -8,10 +8,10 @@ Probabilities are integrals over the grid's bins, and the entropy (Eq. 5) is com
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from statistics import NormalDist
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -115,6 +115,7 @@ class CalibratedKernel(Kernel):
 
     Attributes:
         noise: (S,) float64, standard deviation s of a sample of weight 1, in radiance.
+        summary: entropy, moments and best bins of the S texels.
         learned: True if the prior was learned (``empirical_bayes``).
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
@@ -123,6 +124,7 @@ class CalibratedKernel(Kernel):
     grid: PrincipledGrid
     problem: CalibratedProblem
     noise: np.ndarray
+    summary: kernel.PosteriorSummary = field(repr=False)
     learned: bool = False
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
     continuous = True
@@ -136,11 +138,6 @@ class CalibratedKernel(Kernel):
     def prior(self) -> CalibratedPrior:
         """Prior of all texels."""
         return CalibratedPrior.of(self.problem, self.grid)
-
-    @cached_property
-    def summary(self) -> kernel.PosteriorSummary:
-        """Entropy, moments and best bins of the S texels."""
-        return kernel.summarize(self.problem)
 
     @cached_property
     def lane(self) -> np.ndarray:
@@ -299,14 +296,29 @@ def calibrated_posterior(
     switches = find_preset(preset, method="angular")
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
     grid = grid or PrincipledGrid()
-    _require_levels(factors.roughness, grid.roughness_nodes)
-    require_scale("calibrated_posterior()", scale)
     observed = observed_by("calibrated_posterior()", factors, copies, texels)
-    problem = _problem(factors, grid, switches, prior, copies)
-    problem, noise = _with_noise(problem, switches, scale, rounding)
-    common = (light_uncertainty or LightUncertainty()).scale
-    of_texels = CalibratedKernel(grid=grid, problem=problem, noise=noise, common=common)
-    return Posterior(kernel=of_texels, observed=observed)
+    problem = problem_of(factors, grid, scale, switches, prior, copies)
+    return posterior_of(fit(problem, switches, scale, rounding), grid, observed, light_uncertainty)
+
+
+class CalibratedFit(NamedTuple):
+    """Problem with energies in units of noise, noise (S,) float64, and integrals of S texels."""
+
+    problem: CalibratedProblem
+    noise: np.ndarray
+    summary: kernel.PosteriorSummary
+
+
+def posterior_of(
+    fitted: CalibratedFit,
+    grid: PrincipledGrid,
+    observed: np.ndarray,
+    light: LightUncertainty | None,
+) -> Posterior[CalibratedKernel]:
+    """Return the posterior of texels of which (T,) bool are ``observed``."""
+    common = (light or LightUncertainty()).scale
+    kernel_of_texels = CalibratedKernel(grid=grid, common=common, **fitted._asdict())
+    return Posterior(kernel=kernel_of_texels, observed=observed)
 
 
 def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
@@ -324,11 +336,13 @@ def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
         )
 
 
-def _problem(
-    factors: Factors, grid: PrincipledGrid, switches: AngularPreset, prior: Any | None,
-    copies: int,
+def problem_of(
+    factors: Factors, grid: PrincipledGrid, scale: float, switches: AngularPreset,
+    prior: Any | None, copies: int,
 ) -> CalibratedProblem:  # fmt: skip
-    """Return the inputs of the posterior, without noise."""
+    """Return the inputs of the posterior, without noise (see ``calibrated_posterior``)."""
+    _require_levels(factors.roughness, grid.roughness_nodes)
+    require_scale("calibrated_posterior()", scale)
     r = uniform_axis(grid.roughness_nodes, switches.parts)
     mixed = ProductAxis(tuple(
         mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].has_atoms)
@@ -349,10 +363,10 @@ def _problem(
     return CalibratedProblem(factors, copies, r, mixed, edges, rows, given, empty, empty)
 
 
-def _with_noise(
+def fit(
     problem: CalibratedProblem, switches: AngularPreset, scale: float, rounding: np.ndarray | None
-) -> tuple[CalibratedProblem, np.ndarray]:
-    """Return the problem with energies in units of noise, and the noise s of S texels."""
+) -> CalibratedFit:
+    """Estimate the noise s of S texels from their residuals, and integrate their posteriors."""
     factors = problem.factors
     # Opaque: with a literal, Dr.Jit would compile another kernel for each capture.
     unit = dr.opaque(mi.Float, 1 / scale, factors.count)
@@ -373,7 +387,7 @@ def _with_noise(
         above = kernel.min_energy(problem, excess=True)
         problem = replace(problem, min_energy=problem.min_energy + above)
         dr.eval(problem.min_energy)
-    return problem, scale * np.sqrt(variance)
+    return CalibratedFit(problem, scale * np.sqrt(variance), kernel.summarize(problem))
 
 
 def prior_tables(problem: CalibratedProblem) -> np.ndarray:

@@ -55,7 +55,9 @@ def with_empirical_prior(
         learned = _sharpened(
             kernel.bin_probabilities(updated, everyone).mean(axis=0, dtype=float), alone
         )
-    of_texels = replace(posterior.kernel, problem=_with_prior(problem, learned), learned=True)
+    problem = _with_prior(problem, learned)
+    summary = kernel.summarize(problem)
+    of_texels = replace(posterior.kernel, problem=problem, summary=summary, learned=True)
     return replace(posterior, kernel=of_texels)
 
 

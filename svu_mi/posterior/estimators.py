@@ -1,9 +1,13 @@
-"""Posterior from statistics of all views: for all texels at once, or in tiles."""
+"""Posterior from statistics of all views: for all texels at once, or in tiles.
+
+Statistics and posterior of all texels at once are read from the cache if it contains them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -16,7 +20,9 @@ from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
 from svu_mi.posterior.angular import angular_posterior
-from svu_mi.posterior.calibrated import calibrated_posterior
+from svu_mi.posterior.calibrated import calibrated_posterior, fit, posterior_of, problem_of
+from svu_mi.posterior.kept_results import pack_factors, pack_fit, restore_factors, restore_fit
+from svu_mi.posterior.kernel import observed_by
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.tiled import TiledKernel
@@ -39,19 +45,49 @@ class EstimatorInputs:
 
 
 def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
-    """Gather the statistics of all seen texels and factorise them."""
-    observed = inputs.observed
-    texels = None if _uses_all(observed, switches) else np.flatnonzero(observed.coverage)
-    return _factors(inputs, observed, switches, texels)
+    """Gather the statistics of all seen texels and factorise them, or read them from the cache."""
+    observed, progress = inputs.observed, inputs.progress
+    texels = observed.seen
+    if not _uses_all(observed, switches):
+        texels = np.flatnonzero(observed.coverage)
+    levels, channels = _levels(inputs, switches), inputs.plan.channels
+
+    def gather() -> Factors:
+        if switches.traced:
+            with progress.stage("Tracing occlusion"):
+                observed.light_visibility(switches.cells, occluded=switches.occluded)
+        with progress.stage("Gathering statistics"):
+            return _factors(inputs, observed, switches, texels)
+
+    return observed.cache.recall(
+        "statistics", _statistics_inputs(inputs, switches), gather, pack_factors,
+        partial(restore_factors, texel=texels, roughness=levels, channels=channels),
+    )  # fmt: skip
 
 
 def statistics_posterior(
     inputs: EstimatorInputs, switches: AngularPreset, factors: Factors
 ) -> Posterior:
     """Return the posterior of all texels from their statistics."""
-    observed = inputs.observed
-    rounding = _rounding(observed, switches)
-    return _posterior(inputs, switches, factors, rounding, observed.texels.count)
+    observed, count = inputs.observed, inputs.observed.texels.count
+    if switches.noise != "estimated":
+        return _posterior(inputs, switches, factors, None, count)
+    scale, copies = observed.unit, inputs.plan.copies
+    problem = problem_of(factors, inputs.grid, scale, switches, inputs.prior, copies)
+    prior = None if inputs.prior is None else np.asarray(inputs.prior)
+    fitted = observed.cache.recall(
+        "posterior", [*_statistics_inputs(inputs, switches), inputs.grid, prior, copies],
+        lambda: fit(problem, switches, scale, _rounding(observed, switches)),
+        pack_fit, partial(restore_fit, problem=problem),
+    )  # fmt: skip
+    seen = observed_by("estimate()", factors, copies, count)
+    return posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
+
+
+def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
+    """Return all inputs of the statistics in addition to those of ``observed.cache``."""
+    plan = inputs.plan
+    return [switches, _levels(inputs, switches), plan.channels, plan.light_channels]
 
 
 def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:

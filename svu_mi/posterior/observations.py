@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 from typing import Any
 
@@ -16,8 +16,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import require_light
 from svu_mi.core.arrays import to_drjit
+from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.fit_samples import MirroredLight
@@ -34,6 +36,12 @@ from svu_mi.light.light_visibility import (
     MirrorVisibility,
     trace_light_visibility,
     trace_mirror_visibility,
+)
+from svu_mi.posterior.kept_results import (
+    pack_light_visibility,
+    pack_visibility,
+    restore_light_visibility,
+    restore_visibility,
 )
 from svu_mi.presets import AngularPreset, Fit, Preset, Skip
 from svu_mi.reflection.principled import alpha_from_roughness
@@ -63,6 +71,7 @@ class Observed:
     Attributes:
         visibility: visibility of T texels in V views.
         seen: (S,) int64, texels to compute: all seen texels, or all T if none are skipped.
+        cache: results of earlier commands, for the capture, the texels and ``seen``.
     """
 
     capture: Capture
@@ -70,12 +79,13 @@ class Observed:
     views: Views
     visibility: Visibility
     seen: np.ndarray
+    cache: ArrayCache = ArrayCache()
     _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
     _light_visibility: dict[Any, LightVisibility] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
         """Return a copy that computes only (t,) ``texels``, with the same light."""
-        return replace(self, seen=texels, _light_visibility={})
+        return replace(self, seen=texels, cache=ArrayCache(), _light_visibility={})
 
     @cached_property
     def coverage(self) -> np.ndarray:
@@ -143,9 +153,15 @@ class Observed:
         """Return the visibility of ``cells`` fine light cells from S texels; cached."""
         key = (cells, occluded)
         if key not in self._light_visibility:
-            self._light_visibility[key] = trace_light_visibility(
-                self.views.scene, self.surface, self.light_tree(cells), occluded=occluded
-            )
+            tree, surface = self.light_tree(cells), self.surface
+            self._light_visibility[key] = self.cache.recall(
+                "occlusion", key,
+                lambda: trace_light_visibility(
+                    self.views.scene, surface, tree, occluded=occluded
+                ),
+                pack_light_visibility,
+                partial(restore_light_visibility, tree=tree, texel=surface.index),
+            )  # fmt: skip
         return self._light_visibility[key]
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
@@ -271,17 +287,37 @@ def observe(
     progress, skip = progress or Progress(), skip or Skip()
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
-    with progress.stage("Tracing visibility"):
-        visibility = trace_visibility(
-            views, TexelLanes.of(texels), skip_blind=skip.blind, skip_pairs=skip.pairs
-        )
+
+    def trace() -> Visibility:
+        with progress.stage("Tracing visibility"):
+            return trace_visibility(
+                views, TexelLanes.of(texels), skip_blind=skip.blind, skip_pairs=skip.pairs
+            )
+
+    cache = _cache_of(capture, texels, skip)
+    visibility = cache.recall(
+        "visibility", (), trace, pack_visibility,
+        partial(
+            restore_visibility, views=views.number, texels=texels.count,
+            clipped=views.clipped is not None, dense=not skip.pairs,
+        ),
+    )  # fmt: skip
     require_seen(visibility.per_view, capture, clipped=bool(np.any(visibility.clipped_coverage)))
     require_range(visibility.scale)
     all_texels = np.arange(texels.count)
     observed = Observed(
-        capture=capture, views=views, texels=texels, visibility=visibility, seen=all_texels
-    )
+        capture=capture, views=views, texels=texels, visibility=visibility, seen=all_texels,
+        cache=cache,
+    )  # fmt: skip
     return replace(observed, seen=np.flatnonzero(observed.shown)) if skip.unseen else observed
+
+
+def _cache_of(capture: Capture, texels: Texels, skip: Skip) -> ArrayCache:
+    """Return the cache of the capture for results of these texels."""
+    if capture.cache.folder is None:
+        return capture.cache
+    layout = texels.resolution, texels.index.numpy(), texels.position.numpy()
+    return capture.cache.under(capture_key(capture), layout, skip)
 
 
 def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:

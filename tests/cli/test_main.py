@@ -30,7 +30,8 @@ pytestmark = pytest.mark.usefixtures("variant")  # svu selects a variant
 
 
 def test_render_writes_a_capture_folder(shot):
-    assert names(shot) == ["capture.json"] + [f"view_{i:04d}.exr" for i in range(8)]
+    written = [name for name in names(shot) if name != "cache"]  # of commands in other tests
+    assert written == ["capture.json"] + [f"view_{i:04d}.exr" for i in range(8)]
     record = json.loads((shot / "capture.json").read_text())
     assert record["define"] == {"light": "window"}
     assert record["shape"] == "vase"

@@ -1,6 +1,6 @@
 """Killed commands, and concurrent commands in one folder.
 
-    PYTHONPATH=tests python -m support.kills [--kills 60] [--pairs 12]
+    PYTHONPATH=tests python -m support.kills [--kills 60] [--pairs 12] [--caches 60]
 
 Whatever happens at whatever moment: a folder holds the old result or the new one, readers read it,
 and the same command again succeeds and leaves nothing else. Every second kill is with the exchange
@@ -30,6 +30,7 @@ from svu_mi import scenes
 from svu_mi.calibration.light.light_folder import load_light
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.loading import load_capture
+from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.output_folder import CHECKPOINT
@@ -145,6 +146,42 @@ def killed(place: Place, chance: random.Random, at: Path, atomic: bool) -> str:
     return kept
 
 
+def kill_while_keeping(folder: Path, chance: random.Random, size: int = 2**24) -> str:
+    """Kill a process at a random moment while it keeps an array; return whether it is kept.
+
+    Either all of it is read afterwards, or it is computed and kept again.
+    """
+    folder = folder / str(chance.random())
+    array = np.arange(size, dtype=np.float32)
+    cache, computed = ArrayCache(folder), Counter[str]()
+
+    def compute() -> np.ndarray:
+        computed["array"] += 1
+        return array
+
+    def recall() -> np.ndarray:
+        return cache.recall("array", [], compute, lambda x: {"x": x}, lambda a: a["x"])
+
+    start = time.monotonic()
+    recall()
+    seconds = time.monotonic() - start
+    shutil.rmtree(folder)
+    if (pid := os.fork()) == 0:
+        try:
+            recall()
+        finally:
+            os._exit(0)
+    time.sleep(chance.uniform(0, 1.05) * seconds)
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    whole = [name for name in names(folder) if name.startswith("array")] if folder.exists() else []
+    computed.clear()
+    for _ in range(2):  # what was lost is computed and kept
+        np.testing.assert_array_equal(recall(), array)
+    assert computed.total() == (0 if whole else 1) and len(names(folder)) == 1, names(folder)
+    return "kept" if whole else "lost"
+
+
 def met(place: Place, at: Path) -> str:
     """Start a command twice at once; return whether ``one`` or ``both`` have written."""
     place.copy(at)
@@ -168,12 +205,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--pairs", type=int, default=12)
+    parser.add_argument("--caches", type=int, default=60)
     parser.add_argument("--seed", type=int, default=19)
     options = parser.parse_args()
     mi.set_variant("llvm_ad_rgb")
     chance, count = random.Random(options.seed), len(COMMANDS)
     with tempfile.TemporaryDirectory(prefix="svu-kills-") as folder:
         at = Path(folder)
+        kept = Counter(kill_while_keeping(at / "cache", chance) for _ in range(options.caches))
+        print("cache", *(f"{left}: {times}" for left, times in sorted(kept.items())), flush=True)
+        if not options.kills + options.pairs:
+            return
         prepare(at)
         places = [Place(name, at).begin() for name in COMMANDS]
         tally: dict[str, Counter[str]] = {name: Counter() for name in COMMANDS}

@@ -127,14 +127,15 @@ def _array(data: bytes) -> np.ndarray:
     version = npy.read_magic(stream)
     if version not in HEADERS:
         raise ValueError("an array has an unknown format version")
-    shape, _, dtype = HEADERS[version](stream)
+    shape, by_columns, dtype = HEADERS[version](stream)
     here = len(data) - stream.tell()
     if dtype.hasobject:
         raise ValueError("an array declares pickled objects")
     if math.prod(shape) * dtype.itemsize != here:
         raise ValueError(f"an array declares {dtype} of shape {shape}, but has {here} bytes")
-    stream.seek(0)
-    return np.asarray(npy.read_array(stream, allow_pickle=False))
+    # Not npy.read_array, which copies. The array cannot be written to.
+    values = np.frombuffer(data, dtype, offset=stream.tell())
+    return values.reshape(shape, order="F" if by_columns else "C")
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:
@@ -142,5 +143,5 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> str:
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         total.update(f"{name} {array.dtype.str} {arrays[name].shape} ".encode())
-        total.update(array.tobytes())
+        total.update(array.reshape(-1).view(np.uint8).data)
     return total.hexdigest()
