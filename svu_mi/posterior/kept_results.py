@@ -20,7 +20,7 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.array_cache import Arrays
-from svu_mi.core.io.npz import Field, require_schema
+from svu_mi.core.io.schema import Axis, Field, checked
 from svu_mi.geometry.bitset import WORD, Bits
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.light_tree import LightTree
@@ -47,10 +47,10 @@ def restore_visibility(
     """Return the visibility of texels in views; ``clipped`` if pixels are saturated."""
     schema = {
         "coverage": Field("u4", (texels,)), "total": Field("f8", (texels,)),
-        "per_view": Field("i8", (views,)), "order": Field("u4", ("N",), 0, max(views - 1, 0)),
-        "bits": _words(views, texels),
+        "order": Field("u4", (Axis("order"),), 0, max(views - 1, 0)),
+        "per_view": Field("i8", (views,)), "bits": _words(views, texels),
     } | ({"clipped": _words(views, texels)} if clipped else {})  # fmt: skip
-    require_schema(arrays, schema)
+    checked(arrays, schema, closed=True)
     order = arrays["order"]
     return Visibility(
         coverage=to_drjit(mi.UInt32, arrays["coverage"]),
@@ -69,7 +69,8 @@ def pack_light_visibility(known: LightVisibility) -> Arrays:
 def restore_light_visibility(arrays: Arrays, tree: LightTree, texel: Any) -> LightVisibility:
     """Return the visibility of the tree's cells from texels ``texel``, (S,) UInt32."""
     lanes, numbers = dr.width(texel), {"coarse": tree.coarse.number, "fine": tree.fine.number}
-    require_schema(arrays, {name: _words(number, lanes) for name, number in numbers.items()})
+    schema = {name: _words(number, lanes) for name, number in numbers.items()}
+    checked(arrays, schema, closed=True)
     coarse, fine = (_bits(arrays[name], number, lanes) for name, number in numbers.items())
     return LightVisibility(tree, coarse, fine, texel)
 
@@ -89,7 +90,7 @@ def restore_factors(
         "values": Field("f4", (count * stride(len(roughness), channels),)),
         "views": Field("u4", (count,)), "texel": Field("u4", (count,)),
     }  # fmt: skip
-    require_schema(arrays, schema)
+    checked(arrays, schema, closed=True)
     if not np.array_equal(arrays["texel"], texel):
         raise ValueError("the array texel has other texels")
     return Factors(
@@ -121,7 +122,7 @@ def restore_fit(arrays: Arrays, problem: CalibratedProblem) -> CalibratedFit:
         "best": Field("u4", of_texels, 0, rows * columns - 1),
         "best_colors": Field("u4", (channels, *of_texels), 0, colors - 1),
     }  # fmt: skip
-    require_schema(arrays, schema)
+    checked(arrays, schema, closed=True)
     floats = {name: to_drjit(mi.Float, arrays[name]) for name in ("entropy", "total")}
     summary = PosteriorSummary(
         **floats, mean=[to_drjit(mi.Float, row) for row in arrays["mean"]],
