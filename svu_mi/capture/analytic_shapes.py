@@ -28,6 +28,8 @@ def analytic_mesh(shape: Any, label: str) -> MeshArrays:
             "with UVs."
         )
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"{label} has a to_world that is NaN or infinite; correct it.")
     _require_round(matrix[:3, :3], kind, label)
     along, around = np.mgrid[: ALONG + 1, : AROUND + 1]
     angle = 2 * np.pi * (around % AROUND) / AROUND  # equal at both ends: the surface is closed

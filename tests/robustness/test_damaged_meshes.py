@@ -12,10 +12,12 @@ import time
 import zlib
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from support.helpers import ball, python, sensor_xml, write_ball, write_scene
 
+from svu_mi.capture.analytic_shapes import analytic_mesh
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, read_ply, write_ply
@@ -128,6 +130,18 @@ def test_every_mesh_of_a_serialized_file_is_measured(tmp_path, index, version, w
             continue
         with pytest.raises(SceneError, match=r"two\.serialized: .* 1099511627776 vertices"):
             load_scene(path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("change", ['<scale value="1e308"/>', '<translate x="nan"/>'])
+@pytest.mark.parametrize("kind", ["sphere", "disk"])
+def test_a_shape_without_a_place_is_refused(kind, change):
+    scene = mi.load_string(
+        f'''<scene version="3.0.0"><shape type="{kind}" id="a">
+        <transform name="to_world">{change}</transform></shape></scene>'''
+    )
+    with pytest.raises(SceneError, match="a has a to_world that is NaN or infinite; correct it"):
+        analytic_mesh(scene.shapes()[0], "a")
 
 
 def glb(nodes: list[dict[str, object]], roots: list[int], **changes: object) -> bytes:
