@@ -50,6 +50,16 @@ def test_nothing_of_the_object_lies_beyond_the_window(
         assert view.shade.numpy().size < whole.shade.numpy().size
 
 
+@pytest.mark.parametrize("offset", [(3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)])
+def test_object_beside_the_film_has_a_window_at_its_edge(
+    vase: SimpleNamespace, offset: tuple[float, float]
+) -> None:
+    place = sensor(4.0, principal_point_offset=offset)
+    view = ObjectView.of(object_only_scene(vase.capture), place)
+    assert min(part.stop - part.start for part in view.window) == 1
+    assert not view.covered.any() and view.covered.shape == (40, 60)
+
+
 def test_points_are_where_mitsuba_shows_them(vase: SimpleNamespace) -> None:
     points = positions(vase.capture.mesh)
     for place in (sensor(4.0), sensor(2.5, aside=0.4), sensor(4.0, x_fov=70.0)):

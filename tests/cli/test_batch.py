@@ -450,6 +450,20 @@ def test_table_of_results_has_a_row_per_capture(tmp_path):
     ]
 
 
+def test_a_batch_makes_its_folder_goes_on_and_counts(shelf_of, tmp_path, capsys, monkeypatch):
+    shelf, out, statuses = shelf_of("a", "b"), tmp_path / "deep" / "out", []
+    monkeypatch.setattr("svu_mi.cli.batch.runner.CommandPool", lambda _: Made(statuses))
+    for status, said in (
+        (0, "2 of 2 captures done, 8 steps made."), (0, "2 of 2 captures done, 0 steps made."),
+        (2, "1 of 2 captures done, 0 steps made; failed: b."),
+    ):  # fmt: skip
+        if status:
+            statuses.append(status)
+            os.utime(shelf / "b" / "view_0002.exr")
+        assert run("batch", shelf, "-o", out) == bool(status)
+        assert capsys.readouterr().out.splitlines()[-2:] == [f"Wrote {out / 'index.html'}", said]
+
+
 def test_second_worker_waits_and_reuses_results(shelf_of, tmp_path):
     """A second run, for example after a killed one, waits for the lock."""
     item, shelf = (

@@ -43,6 +43,7 @@ BAD = {
     "scene of nothing": {"scene": "x" * 3000}, "define": {"define": [1]},
     "define of lists": {"define": {"a": [1]}}, "shape": {"shape": 3}, "import": {"import": 3},
     "define of 10^400": {"define": {"a": 10**400}}, "define of inf": {"define": {"a": np.inf}},
+    "define of 2e30": {"define": {"a": 2e30}},
     "exposure": {"exposure": 2}, "exposure of text": {"exposure": ["1", "2"]},
     "exposure True": {"exposure": [True, 1e-40]}, "exposure 10^400": {"exposure": [10**400, 1]},
     "sensors": {"sensors": {"a": 1}}, "sensors of text": {"sensors": ["a"]},

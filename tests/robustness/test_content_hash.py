@@ -15,6 +15,7 @@ from svu_mi.capture.content_hash import Key, capture_key, capture_parts
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import make_mesh
 from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.hashes import digest_of, digest_of_file
 from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference_options import ReferenceOptions
@@ -186,6 +187,12 @@ def test_lists_and_numbers_do_not_run_together():
         (12.0,), (np.array(12),), (np.array([12]),), (np.array(12.0),), (None,), (),
     )]  # fmt: skip
     assert len(set(digests)) == len(digests)
+
+
+def test_digests_of_files_are_those_of_blake2b_with_128_bits(tmp_path):
+    (tmp_path / "a").write_bytes(b"abc")  # b2sum -l 128
+    expected = "cf4ab791c62b8d2b2109c90275287816"
+    assert digest_of_file(tmp_path / "a") == digest_of(b"abc") == expected
 
 
 def test_computed_normals_do_not_change_the_capture_key(scene, tmp_path):

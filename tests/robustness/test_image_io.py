@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from svu_mi.capture.importers.source import Frame, Light
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.photographs import SATURATED
 from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.files import may_hold
 from svu_mi.errors import CaptureError, SceneError, SvuWarning
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
@@ -82,6 +84,14 @@ def notes_of(scene) -> list[str]:
     with warnings.catch_warnings(record=True):
         warnings.simplefilter("always")
         return list(load_capture(scene).warnings)
+
+
+def test_64_mib_or_2000_times_the_file_may_be_in_it(tmp_path):
+    (tmp_path / "small").write_bytes(bytes(100))
+    (tmp_path / "large").touch()
+    os.truncate(tmp_path / "large", 2**20)
+    for name, most in (("small", 2**26), ("large", 2000 * 2**20)):
+        assert may_hold(tmp_path / name, most) and not may_hold(tmp_path / name, most + 1)
 
 
 @pytest.mark.parametrize("given, said", [(None, 0), (REC_709, 0), (DISPLAY_P3, 1)])

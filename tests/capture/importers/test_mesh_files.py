@@ -299,6 +299,8 @@ def test_cameras_follow_their_photographs(tmp_path):
     for size in ((30, 23), (30, 30)):
         with pytest.raises(CaptureError, match="another aspect ratio"):
             with_size(given, size)
+    with pytest.raises(CaptureError, match="stored on its side"):
+        with_size(given, (20, 31))
     with pytest.raises(OptionError, match="shrinking by|--shrink"):
         square_pixel_frame(given, 0.5)
 

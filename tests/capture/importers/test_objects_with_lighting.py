@@ -129,6 +129,7 @@ BROKEN = {
     "an exposure in words": ({EXPOSURE: "bright"}, "exposure.txt: could not convert .*bright"),
     "two exposures": ({EXPOSURE: "1 2"}, "exposure.txt: content must be 1 num"),
     "an endless exposure": ({EXPOSURE: "1e9"}, r"in \[-64, 64\], got 1000000000.0; copy"),
+    "an exposure of 65 stops": ({EXPOSURE: "-65"}, r"in \[-64, 64\], got -65"),
     "half a camera": ({CAMERA: GOOD[:30]}, "camera_0000.txt: content must be 24"),
     "a long camera": ({CAMERA: GOOD + "1"}, "24 numbers in .* a list of 25"),
     "words in a camera": ({CAMERA: GOOD.replace("9", "nine")}, "could not convert"),
