@@ -170,7 +170,6 @@ class Viewer:
         red = material_colors(np.array(MARK))
         self._server.scene.add_icosphere(
             "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=pick.position,
-            cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
         self._update_frusta()
 
@@ -255,7 +254,6 @@ class Viewer:
             f"/cameras/{view:04d}", camera.fov, camera.aspect, image=camera.image, color=CAMERA,
             scale=CAMERA_SIZE * self._radius, thickness=1.5, thickness_units="screen",
             wxyz=SO3.from_matrix(camera.rotation).wxyz, position=camera.position,
-            cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
     def _update_frusta(self) -> None:
