@@ -11,9 +11,9 @@ import pytest
 from support.helpers import ball, memory_capture, peak_memory, python, sensor_xml, write_scene
 
 import svu_mi as svu
-from svu_mi.capture.content_hash import Key, capture_key, capture_parts
+from svu_mi.capture.content_hash import Key, _are_computed, capture_key, capture_parts
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.mesh import make_mesh
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.hashes import digest_of, digest_of_file
 from svu_mi.errors import OptionError, SvuWarning
@@ -32,7 +32,7 @@ import sys
 import svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.mesh import make_mesh
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.content_hash import capture_key
 print(capture_key(load_capture(sys.argv[1], unwrap=True)))
 """
@@ -187,6 +187,17 @@ def test_lists_and_numbers_do_not_run_together():
         (12.0,), (np.array(12),), (np.array([12]),), (np.array(12.0),), (None,), (),
     )]  # fmt: skip
     assert len(set(digests)) == len(digests)
+
+
+def test_a_normal_that_nearly_cancels_is_content_if_it_was_chosen():
+    """At a sharp fold, where the sum of the normals of both sides has the length 1.5e-4."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, 1, 1.5e-4]])
+    faces = np.array([[0, 1, 2], [1, 0, 3]])
+    sides = np.array([[0, 0, 1], [0, 1.5e-4, -1.0]])
+    computed = np.stack([sides.sum(axis=0) / 1.5e-4, sides.sum(axis=0) / 1.5e-4, *sides])
+    for normals, expected in ((computed, True), (np.array([[0.0, 0, 1]] * 2 + [*sides]), False)):
+        fold = make_mesh("fold", MeshArrays(points, faces, normals, None))
+        assert _are_computed(fold, normals.ravel()) == expected
 
 
 def test_digests_of_files_are_those_of_blake2b_with_128_bits(tmp_path):

@@ -98,7 +98,7 @@ def main() -> int:
                 if command in ("render", "import", "export"):
                     line = prepared(command, place, 4 * pixels)
                 elif command == "relight":
-                    announced_and_taken(*words("recover", shot, place, texels))
+                    announced_and_taken(*words("recover", shot, place, texels), "--draws", 4)
                     line = command, shot, "--recovered", place / "out", "-o", place / "relit"
                 else:
                     line = words(command, shot, place, texels)

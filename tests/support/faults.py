@@ -1,10 +1,16 @@
-"""Mutation testing: 28 faults of faults.toml, and 12 random ones.
+"""Mutation testing: 28 faults of faults.toml, and random ones.
 
     python tests/support/faults.py [--only NAME ...] [--drawn 12] [--seed 43]
+    python tests/support/faults.py --machinery [--drawn 60] [--seed 46] [--slow]
 
 Each is planted in a copy of the tree. The tests nearest to it run first, then all of ``make
-test``, until one fails; the table says which. Drawn faults change a line of ``svu_mi/capture``,
-``posterior``, ``output`` or ``batch`` that these tests execute, by six operators in turn.
+test``, until one fails; the table says which. Drawn faults change a line of ``ROOMS`` that these
+tests execute, by six operators in turn.
+
+``--machinery`` draws only, in input, files, records, viewer and batch, and also in lines that no
+test executes. The tests of these rooms that execute the line run first, the shortest before, then
+all of these rooms; with ``--slow``, also those marked so. Faults of ``equivalent`` in faults.toml
+change nothing that a test could see, for the reason there.
 """
 
 from __future__ import annotations
@@ -21,7 +27,7 @@ import tempfile
 import threading
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import CodeType
@@ -29,9 +35,20 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 FAULTS = Path(__file__).with_suffix(".toml")
-PACKAGES = ("capture", "posterior", "output", "batch")
+ROOMS = (("capture",), ("posterior",), ("output",), ("cli/batch",))
+MACHINERY = (
+    ("capture",), ("core/io",), ("output/viewer",),
+    ("cli/batch", "cli/loading.py", "cli/import_.py"),
+    ("calibration/light/light_folder.py", "evaluation/reference_cache.py", "recovery/checkpoint.py",
+     "output/run_record.py", "output/texture_files.py"),
+)  # fmt: skip
+NEAR = ("capture", "core", "robustness", "cli", "journeys", "calibration/test_light_folder.py",
+        "recovery/test_checkpoint.py", "output/test_viewer.py", "output/test_write_recovery.py",
+        "evaluation/test_traced_posterior.py")  # fmt: skip
 OPERATORS = ("negate a condition", "drop a statement", "swap two arguments",
              "change a constant", "off by one", "widen a limit")  # fmt: skip
+LIMIT = 900  # seconds of a run of tests
+SHORTEST = 12  # tests that execute a line, of which ...
 SPARE = 12  # sites of a drawn fault, of which the first that is executed is chosen
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
@@ -40,12 +57,12 @@ FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 class Fault:
     """A mistake: ``right`` becomes ``wrong`` where it stands once, or at offset ``start``.
 
-    ``tests`` are the files nearest to it in ``tests``, separated by spaces.
+    ``tests`` are the files or tests nearest to it in ``tests``.
     """
 
     name: str
     file: str
-    tests: str
+    tests: Sequence[str]
     right: str
     wrong: str
     start: int = -1
@@ -62,6 +79,11 @@ class Fault:
         changed = text[:start] + self.wrong + text[start + len(self.right) :]
         compile(changed, self.file, "exec")
         return changed
+
+    def planted_line(self) -> str:
+        """Return the line with a drawn fault in it."""
+        planted = self.planted((ROOT / self.file).read_text(encoding="utf-8"))
+        return planted.splitlines()[self.line - 1].strip()
 
 
 # --- faults that are drawn ------------------------------------------------------------------
@@ -101,13 +123,14 @@ def sites(file: Path, operator: str) -> Iterator[Fault]:
         starts.append(starts[-1] + len(line))
     functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef)]
     nodes = [one for function in functions for part in function.body for one in _inside(part)]
-    for kind, node, wrong in (mutant for one in nodes for mutant in mutants(one)):
+    wanted = (mutant for one in nodes for mutant in mutants(one) if mutant[0] == operator)
+    for _, node, wrong in wanted:
         right = ast.get_source_segment(text, node)  # type: ignore[arg-type]
-        if kind == operator and right and text.isascii():
+        if right and text.isascii():
             start = starts[node.lineno - 1] + node.col_offset  # type: ignore[attr-defined]
             name = f"{operator}: {' '.join(right.split())[:40]}"
             path, line = str(file.relative_to(ROOT)), node.lineno  # type: ignore[attr-defined]
-            yield Fault(name, path, "", right, wrong, start, line)
+            yield Fault(name, path, (), right, wrong, start, line)
 
 
 def _inside(node: ast.AST) -> Iterator[ast.AST]:
@@ -118,46 +141,65 @@ def _inside(node: ast.AST) -> Iterator[ast.AST]:
             yield from _inside(child)
 
 
-def drawn(count: int, seed: int, tree: Path) -> tuple[list[Fault], list[str]]:
-    """Draw faults in lines that tests execute; return them, and tests that fail without any."""
-    chosen = []
-    places = [sorted((ROOT / "svu_mi" / package).rglob("*.py")) for package in PACKAGES]
+def drawn(count: int, seed: int, groups: Sequence[Sequence[str]], spare: int) -> list[list[Fault]]:
+    """Draw ``spare`` faults for each of ``count``; groups of rooms and operators take turns."""
+    chosen: list[list[Fault]] = []
     for number in range(count):
-        operator = OPERATORS[number % 6]
-        spots = [fault for file in places[number % 4] for fault in sites(file, operator)]
-        if len(spots) < SPARE:  # there are few: those of all packages
-            spots = [fault for files in places for file in files for fault in sites(file, operator)]
-        chosen.append(random.Random(f"{seed} {number}").sample(spots, min(SPARE, len(spots))))
+        operator, rooms = OPERATORS[number % 6], groups[number % len(groups)]
+        spots = _spots(rooms, operator)
+        if len(spots) < SPARE:  # there are few: those of all rooms
+            spots = _spots([room for some in groups for room in some], operator)
+        if spare == 1:
+            spots = [fault for fault in spots if [fault] not in chosen]
+        chosen.append(random.Random(f"{seed} {number}").sample(spots, min(spare, len(spots))))
+    return chosen
+
+
+def _spots(rooms: Iterable[str], operator: str) -> list[Fault]:
+    paths = [ROOT / "svu_mi" / room for room in rooms]
+    files = [file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))]
+    return [fault for file in sorted(files) for fault in sites(file, operator)]
+
+
+def executed(
+    chosen: list[list[Fault]], tree: Path, tests: Sequence[str] = ()
+) -> tuple[dict[str, list[str]], list[str]]:
+    """Return the tests that execute each line, the shortest first, and those that fail already."""
     watched = [f"{fault.file}:{fault.line}" for some in chosen for fault in some]
     (tree / "watched.json").write_text(json.dumps(watched))
-    broken = failures(tree, [], "-p", "support.faults", "--maxfail", "1000")
-    ran: dict[str, set[str]] = {}
+    broken = failures(tree, tests, "-p", "support.faults", "--maxfail", "1000")
+    ran: dict[str, dict[str, float]] = {}
     for file in tree.glob("ran.*.json"):
-        for place, tests in json.loads(file.read_text()).items():
-            ran.setdefault(place, set()).update(tests)
-    faults = []
+        for place, seconds in json.loads(file.read_text()).items():
+            ran.setdefault(place, {}).update(seconds)
+    return {place: sorted(tests, key=tests.__getitem__) for place, tests in ran.items()}, broken
+
+
+def first_executed(chosen: list[list[Fault]], ran: dict[str, list[str]]) -> Iterator[Fault]:
+    """Yield the first fault of each draw that tests execute, if any, with the shortest tests."""
     for some in chosen:
-        for fault in [fault for fault in some if f"{fault.file}:{fault.line}" in ran][:1]:
-            tests = ran[f"{fault.file}:{fault.line}"]
-            shortest = sorted(tests, key=lambda name: (ROOT / "tests" / name).stat().st_size)
-            faults.append(replace(fault, tests=" ".join(shortest[:4])))
-    return faults, broken
+        there = [fault for fault in some if f"{fault.file}:{fault.line}" in ran]
+        for fault in (there or (some if len(some) == 1 else []))[:1]:
+            tests = ran.get(f"{fault.file}:{fault.line}", [])
+            yield replace(fault, tests=tests[:SHORTEST])
 
 
 class Watcher:
-    """Plugin of pytest: records which files of tests execute the lines that are watched."""
+    """Plugin of pytest: records which tests execute the lines that are watched, and their times."""
 
     def __init__(self, places: list[str]) -> None:
         self.places, self.ran, self.now = set(places), dict[str, set[str]](), ""
         self.files = {place.rpartition(":")[0] for place in places}
+        self.root = Path.cwd()  # tests may change it
         self.known: dict[CodeType, str] = {}
+        self.seconds: dict[str, float] = {}
         sys.settrace(self.called)
         threading.settrace(self.called)
 
     def called(self, frame: Any, event: str, _: object) -> Any:
         code = frame.f_code
         if code not in self.known:
-            path = os.path.relpath(code.co_filename)
+            path = os.path.relpath(code.co_filename, self.root)
             self.known[code] = path if path in self.files else ""
         path = self.known[code]
         if event == "line" and f"{path}:{frame.f_lineno}" in self.places:
@@ -165,10 +207,15 @@ class Watcher:
         return self.called if path else None
 
     def pytest_runtest_setup(self, item: Any) -> None:
-        self.now = str(item.path.relative_to(Path.cwd() / "tests"))
+        self.now = item.nodeid.removeprefix("tests/")
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        test = report.nodeid.removeprefix("tests/")
+        self.seconds[test] = self.seconds.get(test, 0) + report.duration
 
     def pytest_sessionfinish(self) -> None:
-        kept = {place: sorted(tests) for place, tests in self.ran.items()}
+        kept = {place: {test: self.seconds.get(test, 0) for test in tests}
+                for place, tests in self.ran.items()}  # fmt: skip
         Path(f"ran.{os.getpid()}.json").write_text(json.dumps(kept))
 
 
@@ -188,29 +235,32 @@ def copied(tree: Path) -> None:
             (tree / name).write_bytes((ROOT / name).read_bytes())
 
 
-def failures(tree: Path, tests: list[str], *options: str) -> list[str]:
+def failures(tree: Path, tests: Sequence[str], *options: str) -> list[str]:
     """Return which of the fast tests fail, of all if none are named; the first one, by default."""
     kernels = os.environ.get("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
     paths = os.pathsep.join([str(tree), str(tree / "tests")])
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-x", "-m", "not slow", "-n", "2", "--dist", "loadfile",
-         *options, *(f"tests/{name}" for name in tests)],
-        cwd=tree, env={**os.environ, "PYTHONPATH": paths, "DRJIT_CACHE_DIR": kernels},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    try:
+        run = subprocess.run(
+            [sys.executable, "-m", "pytest", "-x", "-m", "not slow", "-n", "2", "--dist",
+             "loadfile", *options, *(f"tests/{name}" for name in tests)],
+            cwd=tree, env={**os.environ, "PYTHONPATH": paths, "DRJIT_CACHE_DIR": kernels},
+            capture_output=True, text=True, check=False, timeout=LIMIT,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return [f"no end within {LIMIT} s"]
     failed = FAILED.findall(run.stdout)
     return failed or ([] if run.returncode in (0, 5) else [(run.stdout + run.stderr)[-200:]])
 
 
-def tried(fault: Fault, tree: Path, broken: list[str]) -> str:
-    """Plant a fault; return the first test that notices it, or mypy, or nothing."""
+def tried(fault: Fault, tree: Path, stages: Sequence[Sequence[str]], broken: list[str]) -> str:
+    """Plant a fault; return the first test of the stages that notices it, or mypy, or nothing."""
     path = tree / fault.file
     text = path.read_text(encoding="utf-8")
     path.write_text(fault.planted(text), encoding="utf-8")
     but = [f"--deselect={name}" for name in broken]
     try:
-        for tests in (fault.tests.split(), []):
-            if noticed := failures(tree, tests, *but):
+        for words in stages:
+            if noticed := failures(tree, (), *words, *but):
                 return noticed[0]
         mypy = subprocess.run([sys.executable, "-m", "mypy"], cwd=tree, capture_output=True)
         return "mypy" if mypy.returncode else ""
@@ -222,22 +272,39 @@ def main() -> int:
     """Plant the faults one by one, print a table; return how many nothing has noticed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", nargs="*", default=[], help="parts of names of faults")
-    parser.add_argument("--drawn", type=int, default=len(PACKAGES) * 3)
-    parser.add_argument("--seed", type=int, default=43)
+    parser.add_argument("--machinery", action="store_true")
+    parser.add_argument("--slow", action="store_true", help="run slow tests, too")
+    parser.add_argument("--drawn", type=int)
+    parser.add_argument("--seed", type=int)
     asked = parser.parse_args()
-    written = [Fault(**row) for row in tomllib.loads(FAULTS.read_text())["fault"]]
+    table = tomllib.loads(FAULTS.read_text())
+    harmless = {(row["file"], row["line"]): row["reason"] for row in table["equivalent"]}
+    written = (
+        []
+        if asked.machinery
+        else [Fault(**{**row, "tests": row["tests"].split()}) for row in table["fault"]]
+    )
     for fault in written:
         fault.planted((ROOT / fault.file).read_text(encoding="utf-8"))  # refused before any work
+    groups, count, seed = (MACHINERY, 60, 46) if asked.machinery else (ROOMS, 12, 43)
+    count, seed = (count if asked.drawn is None else asked.drawn), asked.seed or seed
+    chosen = drawn(count, seed, groups, 1 if asked.machinery else SPARE)
+    near = [name for name in NEAR if asked.machinery]
     with tempfile.TemporaryDirectory(prefix="svu-faults-") as folder:
         tree, missed = Path(folder), 0
         copied(tree)
-        more, broken = drawn(asked.drawn, asked.seed, tree) if asked.drawn else ([], [])
+        ran, broken = executed(chosen, tree, near) if chosen else ({}, [])
         if broken:
             print("These fail without any fault:", *broken, file=sys.stderr)
         print("| fault | file | caught by | seconds |\n|---|---|---|--:|", flush=True)
-        for fault in (*written, *more):
+        for fault in (*written, *first_executed(chosen, ran)):
             if not asked.only or any(part in fault.name for part in asked.only):
-                start, noticed = time.perf_counter(), tried(fault, tree, broken)
+                start, whole = time.perf_counter(), [f"tests/{name}" for name in near]
+                nearest = [f"tests/{name}" for name in fault.tests]
+                stages = [["-n", "0", *nearest]] if nearest else []
+                stages += [whole, *([["-m", "slow", *whole]] if asked.slow else [])]
+                reason = harmless.get((fault.file, fault.planted_line()))
+                noticed = f"equivalent: {reason}" if reason else tried(fault, tree, stages, broken)
                 missed += not noticed
                 print(f"| {fault.name} | `{fault.file}` {fault.line or ''} | "
                       f"{noticed or '**nothing**'} | {time.perf_counter() - start:.0f} |",
