@@ -40,6 +40,7 @@ class Capture:
             values (NaN, infinite, negative, saturated) are NaN.
         masks: V arrays (H, W) bool, True on the object; None for a view without a mask.
         exposures: V exposure gains; the photographs were divided by them.
+        exposures_known: True if the exposures are recorded; otherwise they are 1, but may differ.
         names: V names of the photographs for messages: the imported names, or file names.
         unusable: V counts of pixels that are NaN.
         used: V booleans; False for unused views, such as an entirely black photograph.
@@ -84,6 +85,7 @@ class Capture:
     found_light: Any | None = None
     buffer: PixelBuffer | None = None
     cache: ArrayCache = ArrayCache()
+    exposures_known: bool = True
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

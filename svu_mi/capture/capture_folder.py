@@ -40,7 +40,7 @@ class Description:
         scene: Path of the Mitsuba scene; None for a scene that was not loaded from a file.
         defines: Values of the scene's ``-D`` parameters.
         shape: Id of the target; None selects the only candidate.
-        exposures: One gain per view; empty if all are 1.
+        exposures: One gain per view; empty if unknown.
         sensors: Descriptions of the sensors; empty selects the scene's sensors.
         imported: Source and options of the import; empty if not imported.
         rendered: Render settings ``spp`` and ``seed``; empty if not rendered.

@@ -18,8 +18,8 @@ FACTORS = tuple(1 / ratio for ratio in RATIOS) + RATIOS
 VERTICES, VIEWS = 400, 16  # sample sizes
 INSIDE = 0.5  # share of cameras in the bounding box of the mesh that is suspicious
 HIDDEN = 0.25  # share of visible vertices below which a mesh is not framed by its cameras
-FRAMED = 0.8  # share of visible vertices from which it is
-TINY, SMALL, LARGE = 0.03, 0.1, 1.3  # extent in the photographs, relative to their sides
+FRAMED = 0.5  # share of visible vertices from which it is
+TINY, SMALL, LARGE = 0.03, 0.1, 2.0  # extent in the photographs, relative to their sides
 APART = 6.0  # ratio of bounding boxes of points and mesh that is suspicious
 
 
@@ -58,16 +58,16 @@ def wrong_scale(
     if not sensors or not 0 < width < np.inf:
         return None
     eyes = np.array([to_world(sensor)[:3, 3] for sensor in sensors])
+    around = float(np.linalg.norm(np.ptp(eyes, axis=0)))
     inside = int(((eyes > low) & (eyes < high)).all(axis=1).sum())
     some = [sensors[view] for view in evenly_spaced(len(sensors), VIEWS)]
     vertices = positions[evenly_spaced(len(positions), VERTICES)]
     share, size = framing(vertices, some)
     ratio = 1.0 if points is None else _ratio_of_points(points, width)
     if inside >= INSIDE * len(sensors) and share < HIDDEN:
-        distance = float(np.median(np.linalg.norm(eyes - (low + high) / 2, axis=1)))
         problem = (
-            f"{inside} of {len(sensors)} cameras are inside the bounding box of the mesh, "
-            f"{distance:.3g} from its centre, with a diagonal of {width:.3g}"
+            f"{inside} of {len(sensors)} cameras are inside the bounding box of the mesh, whose "
+            f"diagonal is {width:.3g}; that of the cameras is {around:.3g}"
         )
     elif max(ratio, 1 / ratio) > APART and (share < HIDDEN or size < SMALL):
         problem = (

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
 
 From = Annotated[Path, Positional, arg(metavar="SOURCE")]
-Gains = Annotated[str | Path | None, arg(metavar="FILE | exif")]
+Gains = Annotated[str | Path | None, arg(metavar="FILE | exif | none | estimate")]
 Mesh = Annotated[str | Path | None, arg(metavar="FILE")]
 Curve = Annotated[Path | None, arg(metavar="FILE")]
 Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction]

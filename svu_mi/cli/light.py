@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -94,13 +94,14 @@ class FindLight(CaptureCommand, ResultCommand):
         moves = self.light_moves if self.light_moves or self.light_fixed else None
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
-            background=self.background, gains=self.capture.photographs.estimates_gains,
+            background=self.background, gains=bool(self.capture.photographs.estimates_gains),
         )  # fmt: skip
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Estimate the light, write it, and return a summary."""
         from svu_mi.calibration.light import light_summary as summary
         from svu_mi.calibration.light.estimate_light import estimate_light
+        from svu_mi.calibration.light.resolve_light import with_needed_gains
         from svu_mi.output.light_page import write_light
         from svu_mi.output.object_views import up_direction
 
@@ -109,10 +110,16 @@ class FindLight(CaptureCommand, ResultCommand):
         surroundings = self.background != "none"
         capture, grid = self.load(progress, need, size, surroundings=surroundings)
         own = capture.environment
+        known = capture.exposures_known or own is not None or surroundings
+        unknown = self.capture.photographs.estimates_gains is None and not known
         if own is not None:
             progress.say("The light of the capture is used for comparison only.")
         with interruptible(lambda: "interrupted; run the same command again"):
+            options = replace(options, gains=options.gains or unknown)
             light = estimate_light(capture, grid, options, progress)
+            if unknown:
+                light, sentence = with_needed_gains(light)
+                progress.say(sentence)
             light = self._scaled(progress, capture, light)
         against = None if own is None or light.moves else summary.compare_lights(light, own)
         with progress.stage("Writing the results"):

@@ -99,9 +99,10 @@ class PhotographOptions:
     alphabetical order (default: the folder of the scene)."""
     missing: Missing = "refuse"
     """Sensors without a photograph: refuse stops, leave-out continues with the other sensors."""
-    gains: Literal["given", "estimate"] = "given"
-    """Exposure and white balance: as recorded, or estimated per photograph and channel, for
-    automatic cameras; inconsistent photographs are excluded."""
+    gains: Literal["auto", "given", "estimate"] = "auto"
+    """Exposure and white balance: given, as recorded; estimate, per photograph and channel, for
+    automatic cameras, without inconsistent photographs; auto, estimate if neither light nor
+    exposures are recorded, and they differ."""
     memory: Memory = ""
 
     @property
@@ -110,9 +111,9 @@ class PhotographOptions:
         return parse_bytes(self.memory)
 
     @property
-    def estimates_gains(self) -> bool:
-        """True if exposures are estimated."""
-        return self.gains == "estimate"
+    def estimates_gains(self) -> bool | None:
+        """True if exposures are estimated; None if that depends on the capture."""
+        return {"auto": None, "given": False, "estimate": True}[self.gains]
 
 
 @dataclass(frozen=True, kw_only=True)

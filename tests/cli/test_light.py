@@ -15,6 +15,7 @@ from support.helpers import Said, fails, last_line, made_up_light, names, run, w
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.calibration.light import resolve_light
+from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
@@ -153,6 +154,42 @@ def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
     assert first["inputs"]["light"] == second["inputs"]["light"]
     assert first["inputs"]["light"]["scale_interval"][0][0] == pytest.approx(0.72, abs=0.01)
     assert first["written"]["capture"] == second["written"]["capture"]
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("spread", [0.2, 0.03])
+def test_exposures_that_nobody_recorded_are_estimated_if_they_differ(dark, monkeypatch, spread):
+    """--gains auto: only without recorded exposures and light; the light is kept accordingly."""
+    asked, logarithm = [], np.zeros((24, 3))
+    logarithm[::2], logarithm[1::2] = spread, -spread
+
+    def estimate(capture, grid, options, *_):
+        asked.append(options.gains)
+        gains = FoundGains(logarithm, np.ones(24), np.zeros(24, bool)) if options.gains else None
+        return replace(made_up_light(), gains=gains)
+
+    monkeypatch.setattr(resolve_light, "estimate_light", estimate)
+    record = json.loads((dark / "capture.json").read_text())
+    del record["rendered"]
+    (dark / "capture.json").write_text(json.dumps({**record, "exposure": [1.0] * 24}))
+    recorded = svu.load_capture(dark, light="optional")
+    assert recorded.exposures_known
+    resolve_light.with_resolved_light(recorded, gains=None, progress=Said())
+    assert asked == [False]
+    shutil.rmtree(dark / "light")
+
+    (dark / "capture.json").write_text(json.dumps({**record, "exposure": []}))
+    capture = svu.load_capture(dark, light="optional")
+    for attempt in range(2):
+        progress = Said()
+        even = resolve_light.with_resolved_light(capture, gains=None, progress=progress)
+        differ = spread > 0.1
+        assert any("not recorded" in line for line in progress.lines) == (attempt == 0)
+        assert any("Exposure gains range from 0.82 to 1.22" in x for x in progress.lines) == differ
+        wanted = capture.images[1] * np.exp(spread) if differ else capture.images[1]
+        np.testing.assert_allclose(even.images[1], wanted, rtol=1e-5)
+        assert [(dark / name).is_dir() for name in ("light", "light-gains")] == [not differ, differ]
+    assert asked == [False, True]  # the second time, what was kept is used
 
 
 @pytest.mark.slow

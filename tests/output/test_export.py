@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import shutil
 import struct
@@ -510,6 +512,15 @@ def test_standard_deviations_are_maps_and_attributes(result, tmp_path):
     tree = gltf(tmp_path / "out" / "asset.glb")
     attributes = set(tree["meshes"][0]["primitives"][0]["attributes"])
     assert {"_ROUGHNESS_SD", "_BASE_COLOR_SD"} <= attributes
+    extras = tree["materials"][0]["extras"]
+    assert set(extras) == {"roughness_sd", "base_color_sd"}
+    for name, texture in extras.items():
+        image = tree["images"][tree["textures"][texture["index"]]["source"]]
+        data = base64.b64decode(image["uri"].removeprefix("data:image/png;base64,"))
+        inside = np.array(Image.open(io.BytesIO(data)))[6:26, 12:44]  # of the chart
+        factor = 0.5 if name == "base_color_sd" else 1
+        np.testing.assert_allclose(inside / 255, factor * rough[6:26, 12:44], atol=0.5 / 255)
+    trimesh.load_scene(tmp_path / "out" / "asset.glb")
     record = json.loads((tmp_path / "out" / "asset.json").read_text())
     said = {one["holds"]: one["values"] for one in record["files"]}
     assert said["roughness_sd"].endswith("standard deviation")

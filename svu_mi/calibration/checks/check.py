@@ -212,7 +212,7 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     """
     emitter = emitter_of(capture)
     if emitter is None:
-        return decisions.unknown("gain", "the capture has no light")
+        return decisions.unknown("gain", "the capture has no light; use --gains estimate")
     if _axes_are_off(axial):
         return decisions.unknown("gain", "cameras, mesh and light must fit first")
     sightings, points, arriving = _samples_and_light(small, emitter)

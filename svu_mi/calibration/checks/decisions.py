@@ -27,7 +27,6 @@ LIGHT_RANGE = 0.2  # minimum range of the score over all orientations
 LEAST_CUE = 0.1  # minimum cue that supports an orientation
 FLIP_IMPROVEMENT = 0.03  # minimum difference of the correlation with a texture
 NAMED = 5  # maximum number of photographs named in a sentence
-ALIKE = 0.05  # log gains up to this are equal
 UNKNOWN = {
     "light": "The orientation of the light cannot be determined: {}.",
     "texture": "{}.",
@@ -218,16 +217,16 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
 def report_gains(excess: Excess | None, gains: FoundGains, sentences: Iterable[str]) -> Finding:
     """Return the finding of estimated gains; ``sentences`` describe them."""
     too_bright = list(filter(None, [excess and excess.sentence()]))
-    odd = bool(gains.odd.any())
-    is_equal = not odd and float(np.abs(gains.logarithm).max(initial=0)) <= ALIKE
-    if is_equal:
+    if gains.are_equal:
         parts = ["All photographs have the same gain, to about 5 %.", *too_bright]
     else:
         parts = [
             *sentences, *too_bright, "With --gains estimate, other commands divide by these gains "
             "and exclude outliers.",
         ]  # fmt: skip
-    verdict: Verdict = "unclear" if too_bright or odd else "fits" if is_equal else "note"
+    verdict: Verdict = "fits" if gains.are_equal else "note"
+    if too_bright or gains.odd.any():
+        verdict = "unclear"
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
 
 

@@ -88,7 +88,7 @@ def with_resolved_light(
     given: Path | None = None,
     *,
     elsewhere: Path | None = None,
-    gains: bool = False,
+    gains: bool | None = False,
     progress: Progress | None = None,
 ) -> Capture:
     """Return the capture with a light: the given one, its own, or an estimate.
@@ -98,7 +98,8 @@ def with_resolved_light(
         given: Folder written by ``svu light``, or lat-long map in the frame of Mitsuba's
             ``envmap``; replaces the light of the scene.
         elsewhere: Cache folder of the estimate, if the folder of the capture is read-only.
-        gains: Estimate gains of the photographs, divide by them, and exclude outliers. Gains that
+        gains: Estimate gains of the photographs, divide by them, and exclude outliers. None does
+            so if the light is estimated, exposures are not recorded, and gains differ. Gains that
             were estimated together with ``given`` are reused.
         progress: Display of the progress.
     """
@@ -124,7 +125,11 @@ def photo_gains(
 
 
 def _resolved(
-    capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool, progress: Progress
+    capture: Capture,
+    given: Path | None,
+    elsewhere: Path | None,
+    gains: bool | None,
+    progress: Progress,
 ) -> tuple[Capture, FoundGains | None]:
     """Return the capture with a light, and gains if available or requested."""
     lit, factors = capture, None
@@ -139,23 +144,40 @@ def _resolved(
 
 
 def _estimated(
-    capture: Capture, elsewhere: Path | None, gains: bool, progress: Progress
+    capture: Capture, elsewhere: Path | None, gains: bool | None, progress: Progress
 ) -> LightEstimate:
     """Return the light estimated from photographs, from the cache if possible."""
-    places = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
-    places += [elsewhere] if elsewhere is not None else []
-    if gains:
-        places = [place.with_name(place.name + WITH_GAINS) for place in places]
+    plain = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
+    plain += [elsewhere] if elsewhere is not None else []
+    places = {kind: [place.with_name(place.name + kind) for place in plain]
+              for kind in (WITH_GAINS, "")}  # fmt: skip
+    unknown = gains is None and not capture.exposures_known
     key = photographs_key(capture)
-    light = _load_kept(places, key, progress)
+    kept = [
+        place for kind in places for place in places[kind] if unknown or bool(kind) == bool(gains)
+    ]
+    light = _load_kept(kept, key, progress)
     if light is None:
         progress.say("The capture has no light; estimating it from the photographs.")
-        options = replace(OPTIONS, gains=gains)
+        options = replace(OPTIONS, gains=bool(gains or unknown))
         light = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
+        if unknown:
+            light, sentence = with_needed_gains(light)
+            progress.say(sentence)
         for sentence in summary_sentences(light):
             progress.say(sentence)
-        _keep(light, places, (key, options), progress)
+        kind = "" if light.gains is None else WITH_GAINS
+        _keep(light, places[kind], (key, options), progress)
     return light
+
+
+def with_needed_gains(light: LightEstimate) -> tuple[LightEstimate, str]:
+    """Drop gains that are equal, and return a sentence about unrecorded exposures."""
+    if light.gains is None or not light.gains.differ:
+        return replace(light, gains=None), (
+            "The exposures are not recorded; they do not differ significantly."
+        )
+    return light, "The exposures are not recorded, and differ: estimated gains are divided out."
 
 
 def _under_given(

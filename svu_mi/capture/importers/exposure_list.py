@@ -18,14 +18,41 @@ from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.errors import CaptureError, excerpt
 
 GAIN = {"gain": Field(NUMBER, (), 1e-30, 1e30)}
+EQUAL = 1.01  # ratio of the largest and the smallest exposure that counts as equal
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
-def with_gains(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
-    """Return frames with gains from a file, or from EXIF (``exif``); None changes nothing."""
-    if gains is None:
-        return frames
-    return with_exif_gains(frames) if gains == "exif" else with_listed_gains(frames, Path(gains))
+def with_gains(
+    frames: Sequence[Frame], gains: str | Path | None
+) -> tuple[Sequence[Frame], bool, list[str]]:
+    """Return frames with their gains, whether these are known, and sentences about them.
+
+    Args:
+        frames: frames with the gains of the source.
+        gains: ``exif``, ``none`` (1 for all), ``estimate`` (unknown), or a file. None keeps gains
+            of the source if there are any, and uses EXIF if all photographs have it.
+    """
+    if gains is None and any(frame.exposure != 1 for frame in frames):
+        return frames, True, []
+    if gains in ("none", "estimate"):
+        return [replace(frame, exposure=1.0) for frame in frames], gains == "none", []
+    if gains is not None and gains != "exif":
+        return with_listed_gains(frames, Path(gains)), True, []
+    try:
+        frames = with_exif_gains(frames)
+    except CaptureError:
+        if gains is not None:
+            raise
+        return frames, False, []
+    each = [frame.exposure for frame in frames]
+    ratio = max(each) / min(each)
+    if ratio < EQUAL:
+        return frames, True, []
+    note = (
+        f"EXIF: exposures differ by {ratio:.2g} x; pixels are divided by them. If the photographs "
+        "were brightened afterwards, import with --exposures estimate."
+    )
+    return frames, True, [note]
 
 
 def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
@@ -61,25 +88,33 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
 def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
     """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
 
-    A missing aperture (lenses without contacts) is assumed to be equal in all photographs.
+    An aperture that is missing everywhere (lenses without contacts) is assumed to be constant.
     """
-    gains = [_exif_gain(frame.image) for frame in frames]
+    gains, apertures = zip(*(_exif_gain(frame.image) for frame in frames), strict=True)
+    if any(apertures) and not all(apertures):
+        missing = frames[apertures.index(False)].image
+        raise CaptureError(
+            f"{missing}: no aperture in its EXIF data, unlike in others; give exposures as a list "
+            "with --exposures."
+        )
     middle = median(gains)
     return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
 
 
-def _exif_gain(path: Path) -> float:
+def _exif_gain(path: Path) -> tuple[float, bool]:
+    """Return the gain of a photograph, and whether it contains the aperture."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # relevant damage raises an error
             with Image.open(path) as image:
                 tags = image.getexif().get_ifd(EXIF)
-        time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 1) or 1)
+        time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 0))
         speed = tags.get(ISO, 100)
-        gain = time * float(speed[0] if isinstance(speed, tuple) else speed) / 100 / aperture**2
+        speed = float(speed[0] if isinstance(speed, tuple) else speed)
+        gain = time * speed / 100 / (aperture or 1) ** 2
         checked({"gain": gain}, GAIN)
     except Exception as error:  # Pillow's parsers raise any type
         raise CaptureError(
             f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
         ) from error
-    return gain
+    return gain, aperture > 0

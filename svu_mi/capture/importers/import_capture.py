@@ -114,6 +114,7 @@ class ImportPlan:
     mesh: str
     light: Light | None
     notes: Sequence[str]
+    exposures_known: bool
 
     @property
     def sizes(self) -> Sizes:
@@ -144,7 +145,7 @@ class ImportPlan:
             }  # fmt: skip
             description = Description(
                 scene=draft.folder / SCENE, shape=OBJECT, imported=imported,
-                exposures=[frame.exposure for frame in squares],
+                exposures=[frame.exposure for frame in squares] if self.exposures_known else [],
             )  # fmt: skip
             capture_folder.write(draft, description, sensors)
         return notes
@@ -188,7 +189,8 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     between = up.get((options.mesh_up or "", options.world_up or ""), [])
     fixes = find_fixes([*between, *options.fixes])
     there, left_out = _existing_frames(source, options)
-    frames = _prepare_frames(there, source, options, fixes)
+    gained, known, about_gains = with_gains(there, options.exposures)
+    frames = _prepare_frames(gained, source, options, fixes)
     mesh, light = options.mesh or source.mesh, options.environment or source.light
     if light is not None and not light.path.is_file():
         raise CaptureError(
@@ -196,7 +198,8 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
         )
     if mesh is None:
         raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
-    return ImportPlan(source, options, fixes, frames, str(mesh), light, left_out)
+    notes = [*left_out, *about_gains]
+    return ImportPlan(source, options, fixes, frames, str(mesh), light, notes, known)
 
 
 def _parallel_count(frames: Sequence[Frame]) -> int:
@@ -231,7 +234,7 @@ def _prepare_frames(
     if not there:
         raise CaptureError(f"{source.root}: has no photographs.")
     frames = []
-    for frame in with_response(with_gains(there, options.exposures), options.response):
+    for frame in with_response(there, options.response):
         poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":

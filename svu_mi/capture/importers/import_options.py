@@ -74,8 +74,9 @@ class ImportOptions:
     environment: Light | None = None
     """Environment map (default: the map of the source, else no light)."""
     exposures: str | Path | None = None
-    """Exposure gains, positive factors of radiance: a text file with lines NAME GAIN, or exif for
-    EXIF data. Set it if exposures differ (default: gains of the source, else 1)."""
+    """Exposure gains, positive factors of radiance: a text file with lines NAME GAIN; exif; none
+    (all are equal); estimate (unknown: commands estimate them together with the light). Default:
+    gains of the source, else EXIF if all photographs have it, else estimate."""
     response: str | Path | None = None
     """Measured response curve of PNG and JPEG, if not sRGB: a text file with lines ENCODED LINEAR
     or ENCODED R G B (default: the curve of the source, else sRGB)."""

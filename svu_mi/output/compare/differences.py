@@ -183,7 +183,7 @@ class ComparisonPlan:
     def estimate(self, index: int, capture: Capture, progress: Progress) -> None:
         """Estimate a side; if its capture is on disk and has no light, estimate the light first."""
         if not isinstance(dict(self.captures)[index], Capture):
-            capture = with_resolved_light(capture, progress=progress)
+            capture = with_resolved_light(capture, gains=None, progress=progress)
         preset, grid = self.presets[index], texels(capture.mesh, self.size)
         result = estimate(capture, grid, preset=preset, progress=progress)
         about = f"a capture, estimated with the preset {preset}"

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ import svu_mi
 from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.core.io.files import replacing
-from svu_mi.output.export.asset import Asset, AssetFile
+from svu_mi.output.export.asset import SD, Asset, AssetFile
 from svu_mi.output.export.asset_images import orm_image
 from svu_mi.output.object_views import Axis
 from svu_mi.output.style import COLORMAP
@@ -34,6 +37,7 @@ def write_asset_glb(
     """Write ``asset.glb``: mesh and textures (8-bit PNG) in one file.
 
     Maps at the N vertices become the attributes ``_ENTROPY`` and so on, which viewers ignore.
+    Standard deviations are also textures, named by ``extras`` of the material; white is 1.
     """
     base_color = np.array(asset.textures.base_color)
     material = PBRMaterial(
@@ -47,11 +51,26 @@ def write_asset_glb(
     )
     visual = TextureVisuals(uv=upward_uvs(asset.mesh), material=material)
     attributes = {f"_{name.upper()}": values for name, values in at_vertices.items()}
-    _write(folder / ASSET, asset, visual, up, attributes)
+    _write(folder / ASSET, asset, visual, up, attributes, partial(_add_deviations, asset))
     return AssetFile(
         file=ASSET, format="glb", holds=", ".join(["mesh", "textures", *attributes]),
-        values="8 bits; base colour sRGB; roughness (G) and metallic (B) linear",
+        values="8 bits; base colour sRGB; roughness (G), metallic (B) and standard deviations "
+        "(extras of the material) linear",
     )  # fmt: skip
+
+
+def _add_deviations(asset: Asset, tree: dict[str, Any]) -> None:
+    """Add textures of standard deviations, which ``extras`` of the material refer to."""
+    extras = {}
+    for name, image in asset.deviations.items():
+        png = io.BytesIO()
+        Image.fromarray(quantized(image)).save(png, "PNG")
+        data = base64.b64encode(png.getvalue()).decode()
+        tree["images"].append({"name": name + SD, "uri": f"data:image/png;base64,{data}"})
+        tree["textures"].append({"name": name + SD, "source": len(tree["images"]) - 1})
+        extras[name + SD] = {"index": len(tree["textures"]) - 1}
+    if extras:
+        tree["materials"][0]["extras"] = extras
 
 
 def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Axis) -> AssetFile:

@@ -646,6 +646,52 @@ def test_exposures_from_exif(source, tmp_path):
         loaded(source, tmp_path / "again", exposures="exif")
 
 
+def with_exif(source, *settings):
+    """Return the source with JPEGs of these exposure times and apertures (None: not recorded)."""
+    frames = []
+    for k, (time, aperture) in enumerate(settings):
+        exif = Image.Exif()
+        tags = {0x829A: time, 0x829D: aperture, 0x8827: 64}
+        exif.get_ifd(0x8769).update({tag: x for tag, x in tags.items() if x is not None})
+        path = source.root / f"exif{k}.jpg"
+        Image.fromarray(np.full((6, 8, 3), 90, np.uint8)).save(path, exif=exif)
+        frames.append(replace(source.frames[k], image=path, exposure=1.0))
+    return replace(source, frames=frames)
+
+
+def test_exif_is_used_if_all_photographs_have_it(source, tmp_path):
+    unlike = with_exif(source, (1 / 80, 1.8), (1 / 50, 1.8))
+    notes = import_capture(unlike, tmp_path / "default")
+    assert sum(note.startswith("EXIF: exposures differ by 1.6 x; pixels") for note in notes) == 1
+    capture = svu.load_capture(tmp_path / "default")
+    assert capture.exposures[1] / capture.exposures[0] == pytest.approx(1.6, rel=1e-5)
+    assert capture.exposures_known
+    for gains, known in (("none", True), ("estimate", False)):
+        notes = import_capture(unlike, tmp_path / gains, ImportOptions(exposures=gains))
+        capture = svu.load_capture(tmp_path / gains)
+        assert capture.exposures == (1.0, 1.0) and capture.exposures_known == known
+        assert not any("EXIF" in note for note in notes)
+    recorded = [replace(frame, exposure=2.0) for frame in unlike.frames]
+    assert loaded(replace(unlike, frames=recorded), tmp_path / "own").exposures == (2.0, 2.0)
+
+
+@pytest.mark.parametrize(("settings", "known"), [
+    (((1 / 80, 1.8), (1 / 80, 1.8)), True), (((1 / 80, None), (1 / 80, None)), True),
+    (((1 / 80, 1.8), (1 / 80, None)), False), (((1 / 80, 1.8), (None, 1.8)), False),
+    (((1 / 80, 1.8), (0, 1.8)), False),
+])  # fmt: skip
+def test_equal_and_partial_exif(source, tmp_path, settings, known):
+    """A missing time or aperture is not guessed: the exposures are unknown."""
+    some = with_exif(source, *settings)
+    notes = import_capture(some, tmp_path / "default")
+    capture = svu.load_capture(tmp_path / "default")
+    assert capture.exposures == (1.0, 1.0) and capture.exposures_known == known
+    assert not any("EXIF" in note for note in notes)
+    if not known:
+        with pytest.raises(CaptureError, match=r"exif[01].jpg: .* EXIF data"):
+            import_capture(some, tmp_path / "again", ImportOptions(exposures="exif"))
+
+
 def test_masks_that_show_nothing(source, tmp_path):
     frames = []
     for k in range(2):
