@@ -73,6 +73,7 @@ CONTENTS = """
 ```{toctree}
 :hidden:
 :caption: Pages
+notebooks/phone
 notebooks/capture
 notebooks/methods
 notebooks/how
