@@ -297,37 +297,19 @@ def changed(index: int | list[int], value: float, factor: float = 0) -> np.ndarr
 
 
 BAD_ROWS = {
-    "16 columns": (
-        changed(3, 1)[:, :16],
-        r"poses must be numbers for 3 photographs x 17 in .*, got .* shape \(3, 16\)",
-    ),
-    "flat": (
-        changed(3, 1).ravel(),
-        r"1 to 10000 photographs x 17 in .*, got float64 of shape \(51,\); export",
-    ),
+    "16 columns": (changed(3, 1)[:, :16], r"3 photographs x 17 in .*, got .* shape \(3, 16\)"),
+    "flat": (changed(3, 1).ravel(), r"photographs x 17 in .*, got .* shape \(51,\); export"),
     "one number": (np.float64(3), "10000 photographs x 17 in .*, got 3.0; export them again"),
-    "none": (
-        np.zeros((0, 17)),
-        r"10000 photographs x 17 in .* shape \(0, 17\)",
-    ),
+    "none": (np.zeros((0, 17)), r"10000 photographs x 17 in .* shape \(0, 17\)"),
     "NaN": (changed(6, np.nan), "3 photographs x 17 .*, got nan; export"),
     "infinite": (changed(14, np.inf), "3 photographs x 17 .*, got inf; export"),
     "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
     "words": (np.full((3, 17), "a"), "the array has type <U1; expected real numbers"),
     "complex": (changed(3, 1).astype(complex), "the array has type complex128; expected real"),
     "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
-    "parts of pixels": (
-        changed(4, 23.5),
-        "pose 1: size must be 2 whole num.* got 23.5",
-    ),
-    "no height": (
-        changed(4, 0),
-        r"pose 1: size must be 2 whole numbers in \[1, 65536\] pixels, got 0",
-    ),
-    "no focal length": (
-        changed(14, 0),
-        r"pose 1: focal length must be 2 numbers in \[0.001, 1e\+06\] times",
-    ),
+    "parts of pixels": (changed(4, 23.5), "pose 1: size must be 2 whole num.* got 23.5"),
+    "no height": (changed(4, 0), r"pose 1: size must be 2 .* in \[1, 65536\] pixels, got 0"),
+    "no focal length": (changed(14, 0), r"pose 1: focal length must .* \[0.001, 1e\+06\] times"),
     "too few": (changed(3, 1)[:2], "has 3 photographs, but .*poses_bounds.npy has 2 poses; give"),
 }
 
@@ -358,23 +340,11 @@ def intrinsics(matrix: np.ndarray) -> np.ndarray:
 SKEWED = np.array([[50.0, 0.2, 16], [0, 50, 13], [0, 0, 1]])
 FLAT = np.array([[50.0, 0, 16], [0, 0, 13], [0, 0, 1]])
 BAD_ARRAYS = {
-    "no world_mat": (
-        but(world_mat_1=None),
-        "world_mat_1 is missing; write the cameras again, with world_mat_0",
-    ),
+    "no world_mat": (but(world_mat_1=None), "world_mat_1 is missing; write the cameras again"),
     "nothing": ({"other": np.eye(4)}, "world_mat_0 is missing; write the cameras again, with"),
-    "no scale_mat": (
-        but(scale_mat_2=None),
-        "scale_mat_2 is missing; .* and all or none of scale_mat_0,",
-    ),
-    "NaN": (
-        but(world_mat_1=np.full((4, 4), np.nan)),
-        r"world_mat_1 must be 4 x 4 numbers in \[-1e\+30, 1e\+30\], got nan",
-    ),
-    "3 x 4": (
-        but(world_mat_1=SHIFTED[1].world_mat[:3]),
-        r"world_mat_1 must be 4 x 4 numbers .*, got float64 of shape \(3, 4\)",
-    ),
+    "no scale_mat": (but(scale_mat_2=None), "scale_mat_2 is missing; .* none of scale_mat_0,"),
+    "NaN": (but(world_mat_1=np.full((4, 4), np.nan)), "world_mat_1 must be 4 x 4 .*, got nan"),
+    "3 x 4": (but(world_mat_1=SHIFTED[1].world_mat[:3]), r"4 x 4 .*, got .* shape \(3, 4\)"),
     "transposed": (but(world_mat_1=SHIFTED[1].world_mat.T), "last row of world_mat_1 must be"),
     "objects": (but(world_mat_1=np.array([print] * 16, object)), "declares pickled objects; write"),
     "mirrored": (
