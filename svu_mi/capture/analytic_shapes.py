@@ -17,6 +17,7 @@ from svu_mi.errors import SceneError, excerpt
 AROUND, ALONG = 128, 64  # faces around the axis, and along the other parameter
 ROUND = ("Sphere", "Cylinder")  # need equal scales in x and y
 TOLERANCE = 1e-4  # relative difference of these scales
+LARGEST_CONDITION = 1e6  # of the matrix of a shape; single precision resolves 1e-7
 
 
 def analytic_mesh(shape: Any, label: str) -> MeshArrays:
@@ -28,9 +29,7 @@ def analytic_mesh(shape: Any, label: str) -> MeshArrays:
             "with UVs."
         )
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)
-    if not np.isfinite(matrix).all():
-        raise SceneError(f"{label} has a to_world that is NaN or infinite; correct it.")
-    _require_round(matrix[:3, :3], kind, label)
+    _require_regular(matrix, kind, label)
     along, around = np.mgrid[: ALONG + 1, : AROUND + 1]
     angle = 2 * np.pi * (around % AROUND) / AROUND  # equal at both ends: the surface is closed
     t, a = along / ALONG, around / AROUND
@@ -74,9 +73,13 @@ def _grid_faces(positions: np.ndarray) -> np.ndarray:
     return faces[area > 1e-9 * area.max()]
 
 
-def _require_round(matrix: np.ndarray, kind: str, label: str) -> None:
-    """Raise for a scale that Mitsuba's spheres and cylinders do not follow."""
-    x, y, z = np.linalg.norm(matrix, axis=0)
+def _require_regular(matrix: np.ndarray, kind: str, label: str) -> None:
+    """Raise for a ``to_world`` (4, 4) that flattens a shape, or that Mitsuba does not follow."""
+    if not np.isfinite(matrix).all() or np.linalg.cond(matrix[:3, :3]) > LARGEST_CONDITION:
+        raise SceneError(
+            f"{label} ({kind}) has a to_world that is infinite or flattens it; correct its scale."
+        )
+    x, y, z = np.linalg.norm(matrix[:3, :3], axis=0)
     unequal = abs(x - y), abs(y - z) if kind == "Sphere" else 0
     if kind in ROUND and max(unequal) > TOLERANCE * max(x, y):
         raise SceneError(

@@ -140,6 +140,13 @@ def test_stretched_round_shapes_are_refused(tmp_path, kind, scale):
         find_target(load_scene(path), None, "scene.xml")
 
 
+@pytest.mark.parametrize("scale", [(1, 1, 0), (0, 0, 0), (1e39, 1, 1), (1, 1e9, 1)])
+def test_disks_without_an_extent_are_refused(tmp_path, scale):
+    path = scene_of(tmp_path, shape("disk", scale=scale)[0])
+    with pytest.raises(SceneError, match="'disk-0'.*infinite or flattens it; correct its scale"):
+        find_target(load_scene(path), None, "scene.xml")
+
+
 def test_instances_are_refused_by_name(tmp_path):
     """Their group is out of reach, so no scene that contains them can be changed."""
     group = f'<shape type="shapegroup" id="group">{shape("cube")[0]}</shape>'
