@@ -74,11 +74,11 @@ def _grid_faces(positions: np.ndarray) -> np.ndarray:
 
 
 def _require_regular(matrix: np.ndarray, kind: str, label: str) -> None:
-    """Raise for a ``to_world`` (4, 4) that flattens a shape, or that Mitsuba does not follow."""
-    if not np.isfinite(matrix).all() or np.linalg.cond(matrix[:3, :3]) > LARGEST_CONDITION:
-        raise SceneError(
-            f"{label} ({kind}) has a to_world that is infinite or flattens it; correct its scale."
-        )
+    """Raise for a ``to_world`` (4, 4) that is singular, or that Mitsuba does not follow."""
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"{label} has a to_world that is NaN or infinite; correct it.")
+    if np.linalg.cond(matrix[:3, :3]) > LARGEST_CONDITION:
+        raise SceneError(f"{label} has a to_world that flattens it; correct its scale.")
     x, y, z = np.linalg.norm(matrix[:3, :3], axis=0)
     unequal = abs(x - y), abs(y - z) if kind == "Sphere" else 0
     if kind in ROUND and max(unequal) > TOLERANCE * max(x, y):

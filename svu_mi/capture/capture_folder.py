@@ -39,7 +39,7 @@ class Description:
     Attributes:
         scene: Path of the Mitsuba scene; None for a scene that was not loaded from a file.
         defines: Values of the scene's ``-D`` parameters.
-        shape: Id of the target; None selects the only candidate.
+        shape: Name of the target (``load_capture``); None selects the only candidate.
         exposures: One gain per view; empty if unknown.
         sensors: Descriptions of the sensors; empty selects the scene's sensors.
         imported: Source and options of the import; empty if not imported.

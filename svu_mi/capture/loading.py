@@ -30,7 +30,7 @@ from svu_mi.capture.scene import (
     require_variant,
 )
 from svu_mi.capture.sensors import film_size
-from svu_mi.capture.target import find_target
+from svu_mi.capture.target import SceneTarget, find_target
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
@@ -175,10 +175,8 @@ class CapturePlan:
     """A capture whose pixels are not read yet.
 
     Attributes:
-        scene: The ``mi.Scene``.
         light: Environment emitter; None if the scene has no light.
-        target: Target object, an ``mi.Mesh``.
-        materials: BSDFs of the object's shapes.
+        target: The object, and the scene that contains it as a mesh.
         sensors: V sensors whose films have the size of the files.
         folder: Folder of the photographs.
         description: Content of ``capture.json``.
@@ -191,10 +189,8 @@ class CapturePlan:
         partial: True if only requested views are read.
     """
 
-    scene: Any
     light: Any
-    target: Any
-    materials: Sequence[Any]
+    target: SceneTarget
     sensors: Sequence[Any]
     folder: Path
     description: Description
@@ -210,7 +206,7 @@ class CapturePlan:
         """Return the sizes for memory estimates; ``memory`` as for ``read``."""
         return Sizes(
             [self.windows[view].size for view in self.pictures], map_size(self.light),
-            1.0 if self.unwrap else chart_coverage(self.target), self.light is not None,
+            1.0 if self.unwrap else chart_coverage(self.target.mesh), self.light is not None,
             stored=[picture.size for picture in self.pictures.values()],
             memory=self._room(memory), asked=memory is not None,
         )  # fmt: skip
@@ -233,13 +229,14 @@ class CapturePlan:
         sensors = [w.seen_by(each) for w, each in zip(self.windows, self.sensors, strict=True)]
         notes, used = check_photographs(photographs, self.paths, names, some=self.partial)
         mesh, unwrapping = _texel_mesh(self.target, self.unwrap, self.folder)
-        material = unsupported(self.scene, self.target, self.materials)
+        target = self.target
+        material = unsupported(target.scene, target.mesh, target.materials)
         notes = [*self.match.notes, *notes, *unwrapping, *material]
         notes += self._geometry_warnings(sensors)
         for sentence in notes:
             warnings.warn(sentence, SvuWarning, stacklevel=3)
         return Capture(
-            scene=self.scene, shape=self.target, mesh=mesh, sensors=tuple(sensors),
+            scene=target.scene, shape=target.mesh, mesh=mesh, sensors=tuple(sensors),
             images=tuple(photograph.pixels for photograph in photographs),
             masks=tuple(photograph.mask for photograph in photographs),
             exposures=tuple(self.exposures), 
@@ -253,10 +250,10 @@ class CapturePlan:
 
     def _geometry_warnings(self, sensors: Sequence[Any]) -> list[str]:
         """Return a warning if the unit of the mesh, or its front side, seems to be wrong."""
-        wrong = wrong_scale(arrays(self.target).positions, self.sensors)
+        wrong = wrong_scale(arrays(self.target.mesh).positions, self.sensors)
         if wrong is None:
-            return warn_of_back_faces(self.scene, self.target, sensors)
-        return [f"Shape '{self.target.id()}': {wrong.sentence(self.description.mesh_scale)}"]
+            return warn_of_back_faces(self.target.scene, self.target.mesh, sensors)
+        return [f"Shape '{self.target.mesh.id()}': {wrong.sentence(self.description.mesh_scale)}"]
 
 
 def plan_photographs(
@@ -274,21 +271,20 @@ def plan_photographs(
     """Match photographs with sensors of a loaded scene (``plan_capture``)."""
     label = str(description.scene or folder)
     environment = _light(scene, description, light, folder)
-    found = find_target(scene, description.shape, label)
-    target = found.mesh
+    target = find_target(scene, description.shape, label)
     # Other images in the scene's folder may be textures.
     own = description.scene is None or description.scene.resolve().parent != folder.resolve()
     match = match_photographs(folder, [s.id() for s in sensors], missing, any_name=own)
     paths = _chosen(match.paths, views)
     exposures = _exposures(description.exposures, len(sensors), folder)
     films = [film_size(sensor) for sensor in sensors]
+    seen = detail.windows(target.mesh, sensors)
     windows = [
         Window.whole(film) if path is None else window
-        for film, path, window in zip(films, paths, detail.windows(target, sensors), strict=True)
+        for film, path, window in zip(films, paths, seen, strict=True)
     ]
     return CapturePlan(
-        scene=found.scene, light=environment, target=target, materials=found.materials,
-        sensors=sensors, folder=folder,
+        light=environment, target=target, sensors=sensors, folder=folder,
         description=description, match=match, paths=paths,
         pictures=open_photographs(paths, films), windows=windows, exposures=exposures,
         unwrap=unwrap, partial=views is not None,
@@ -341,9 +337,10 @@ def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[P
     return [path if view in chosen else None for view, path in enumerate(paths)]
 
 
-def _texel_mesh(shape: Any, unwrap: bool, folder: Path) -> tuple[Any, list[str]]:
-    if has_uvs(shape) and not unwrap:
-        return shape, []
-    reason = "is unwrapped again, as requested" if has_uvs(shape) else "has no UVs"
+def _texel_mesh(target: SceneTarget, unwrap: bool, folder: Path) -> tuple[Any, list[str]]:
+    mesh = target.mesh
+    if has_uvs(mesh) and not unwrap:
+        return mesh, []
+    reason = "is unwrapped again, as requested" if has_uvs(mesh) else target.lack
     where = f"UVs are laid out by xatlas; they are kept in {folder / UNWRAPPED}."
-    return unwrap_cached(shape, folder), [f"Shape '{shape.id()}' {reason}: {where}"]
+    return unwrap_cached(mesh, folder), [f"Shape '{mesh.id()}' {reason}: {where}"]

@@ -66,7 +66,7 @@ def render_capture(
         seed: Seed of the first view; view i uses ``seed + i``.
         folder: Output folder of ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha is the object
             mask). It is replaced when all views are rendered. Default: a temporary folder.
-        shape: Id of the target (see ``load_capture``).
+        shape: Name of the target (see ``load_capture``).
         views: Number of sensors on a sphere around the target; default: the scene's sensors.
         resolution: Film size (width, height) in pixels, if ``views`` is given.
         defines: Values of the scene's ``<default>`` parameters, if ``scene`` is a path.

@@ -36,12 +36,14 @@ class SceneTarget:
         mesh: The object, an ``mi.Mesh`` of the scene.
         name: Name that chooses it (``--shape``).
         materials: BSDFs of the object's shapes.
+        lack: Reason for missing UVs, for messages.
     """
 
     scene: Any
     mesh: Any
     name: str
     materials: Sequence[Any]
+    lack: str = "has no UVs"
 
 
 def find_target(scene: Any, name: str | None, path: str) -> SceneTarget:
@@ -67,7 +69,8 @@ def find_target(scene: Any, name: str | None, path: str) -> SceneTarget:
     others = [s for s in shapes if not any(is_same(s, one) for one in chosen)]
     parts = [scene.integrator(), *scene.sensors(), *scene.emitters(), made, *others]
     whole_scene = make_scene([part for part in parts if part is not None])
-    return SceneTarget(scene=whole_scene, mesh=made, name=words, materials=materials)
+    lack = "is made of several shapes" if len(chosen) > 1 else "has the same UVs on all faces"
+    return SceneTarget(scene=whole_scene, mesh=made, name=words, materials=materials, lack=lack)
 
 
 def _only_candidate(shapes: Sequence[Any], path: str) -> Any:

@@ -140,10 +140,10 @@ def test_stretched_round_shapes_are_refused(tmp_path, kind, scale):
         find_target(load_scene(path), None, "scene.xml")
 
 
-@pytest.mark.parametrize("scale", [(1, 1, 0), (0, 0, 0), (1e39, 1, 1), (1, 1e9, 1)])
+@pytest.mark.parametrize("scale", [(1, 1, 0), (0, 0, 0), (1, 1e9, 1)])
 def test_disks_without_an_extent_are_refused(tmp_path, scale):
     path = scene_of(tmp_path, shape("disk", scale=scale)[0])
-    with pytest.raises(SceneError, match="'disk-0'.*infinite or flattens it; correct its scale"):
+    with pytest.raises(SceneError, match="'disk-0'.*flattens it; correct its scale"):
         find_target(load_scene(path), None, "scene.xml")
 
 
@@ -182,7 +182,9 @@ def test_several_shapes_share_a_mask_and_the_photographs_are_of_the_scene(tmp_pa
         assert both.masks[view][single].all() and (both.masks[view] != single).mean() < 0.01
         assert one.masks[view].any() and other.masks[view].any()
     assert both.shape.id() == "lid,body" and [s.id() for s in both.scene.shapes()][1:] == ["floor"]
-    assert any("'lid,body' has clearcoat 1" in sentence for sentence in both.warnings)
+    for sentence in ("'lid,body' has clearcoat 1", "'lid,body' is made of several shapes: UVs are"):
+        assert any(sentence in warning for warning in both.warnings)
+    assert any("'body' has the same UVs on all faces: UVs are" in line for line in one.warnings)
 
 
 def test_the_rest_of_the_scene_is_kept(tmp_path):
