@@ -7,7 +7,7 @@ import io
 import os
 import re
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import svu_mi  # first: it finds a usable LLVM
 import mitsuba as mi
@@ -18,7 +18,7 @@ from sphinx.directives.code import CodeBlock
 from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.docutils import SphinxDirective
 
-from svu_mi.cli.main import Command, main
+from svu_mi.cli.main import COMMANDS, main
 
 mi.set_variant("llvm_ad_rgb")  # classes of plugins exist only in a variant
 os.environ["COLUMNS"] = "100"  # width of the help texts
@@ -165,8 +165,7 @@ def complete(app: Sphinx, page: str, source: list[str]) -> None:
         source[0] += CONTENTS.replace("STUDIES", pages_of("benchmarks")).replace(
             "DESIGN", pages_of("design"))  # fmt: skip
     if page == "notebooks/commands":
-        names = [each.__metadata__[0].name for each in get_args(Command)]
-        source[0] += "".join(f"\n## svu {n}\n\n```text\n{help_of(n)}```\n" for n in names)
+        source[0] += "".join(f"\n## svu {n}\n\n```text\n{help_of(n)}```\n" for n in COMMANDS)
 
 
 def read_docstring(

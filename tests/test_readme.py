@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tyro
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
@@ -36,12 +35,11 @@ def commands(page: Path) -> list[list[str]]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_are_understood(page, capsys):
-    from svu_mi.cli.main import Command
+    from svu_mi.cli.main import parse
 
-    config = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
     for words in commands(page):
         try:
-            tyro.cli(Command, args=words, config=config)  # type: ignore[arg-type]
+            parse(*words)
         except SystemExit as stop:
             pytest.fail(f"svu {shlex.join(words)}: {stop.code} {capsys.readouterr()}")
 

@@ -33,8 +33,9 @@ class FindLight(CaptureCommand, ResultCommand):
     """Estimate the environment map from the photographs.
 
     Writes light.exr (a map in the frame of Mitsuba's envmap, with layers of its uncertainty),
-    light.npz (for --light of other commands), light.png and light.json. If the capture has a
-    light, the estimate ignores it and is compared with it.
+    light.npz (for --light of other commands), light.png and light.json. Other commands use the
+    copy that is kept in the capture. If the capture has a light, the estimate ignores it and is
+    compared with it.
     """
 
     command = "light"
@@ -101,9 +102,9 @@ class FindLight(CaptureCommand, ResultCommand):
         """Estimate the light, write it, and return a summary."""
         from svu_mi.calibration.light import light_summary as summary
         from svu_mi.calibration.light.estimate_light import estimate_light
-        from svu_mi.calibration.light.resolve_light import with_needed_gains
+        from svu_mi.calibration.light.resolve_light import keep_light, with_needed_gains
+        from svu_mi.capture.up_direction import up_direction
         from svu_mi.output.light_page import write_light
-        from svu_mi.output.object_views import up_direction
 
         options, size = self._options(), opt.parse_resolution(self.resolution)
         need = partial(light_search_need, resolution=size, options=options)
@@ -128,6 +129,9 @@ class FindLight(CaptureCommand, ResultCommand):
                 capture, light, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,
             )  # fmt: skip
+        if own is None:
+            used = {"used": asdict(options), "resolution": size}
+            keep_light(light, capture, self.output, used, progress)
         lines = list(summary.summary_sentences(light, up_direction(capture)))
         if light.gains is not None:
             lines += summary.gain_sentences(light.gains, capture)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import logging
 import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated, Any, Union
+from typing import Any
 
 import tyro
 
@@ -49,9 +50,6 @@ GROUPS: dict[str, dict[str, Any]] = {
     "many captures": {"batch": Batch, "bench": Bench},
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
-Command: Any = Union[  # noqa: UP007 - of a tuple
-    tuple(Annotated[each, tyro.conf.subcommand(name)] for name, each in COMMANDS.items())
-]
 DESCRIPTION = "Uncertainty of the reflectance of each texel, estimated from photographs."
 LONGEST = 200  # characters of a path in a message
 ROOM = "make room, or write to another disk"
@@ -74,6 +72,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(sys.argv[1:] if arguments is None else arguments)
 
 
+def parse(name: str = "", *words: str) -> Any:
+    """Return the command with this name, with options from the words after it.
+
+    Raises ``OptionError`` for an unknown name, and ``SystemExit`` for unknown options.
+    """
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, 1)
+        remedy = f"did you mean {near[0]}?" if near else "svu --help lists the commands."
+        raise OptionError(f"{excerpt(name)}: no such command; {remedy}" if name else remedy)
+    return tyro.cli(
+        COMMANDS[name], prog=f"svu {name}", args=repeat_known(words), registry=REGISTRY,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
+    )  # fmt: skip
+
+
 def _run(arguments: Sequence[str]) -> int:
     for word in arguments:
         if problem := _name_problem(word):
@@ -90,10 +103,7 @@ def _run(arguments: Sequence[str]) -> int:
             known = name in COMMANDS
             print(command_help(name, COMMANDS[name]) if known else overview(GROUPS, DESCRIPTION))
             return 0
-        command: Any = tyro.cli(
-            Command, prog="svu", description=DESCRIPTION, args=repeat_known(arguments),
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
-        )  # fmt: skip
+        command = parse(*arguments)
         _require_working_folder()
         require_start()
         if command.uses_matplotlib and getattr(command, "pictures", True):

@@ -31,7 +31,7 @@ Output = Annotated[Path, arg(aliases=["-o"], metavar="FOLDER", help="Folder of t
 Overwrite = Annotated[
     bool, arg(help="Replace other files in the output path, which are kept as NAME.before.")
 ]
-Scene = Annotated[Path, Positional, arg(metavar="SCENE.xml")]
+Scene = Annotated[Path, Positional, arg(metavar="CAPTURE | SCENE.xml")]
 Defines = Annotated[tuple[str, ...], arg(aliases=["-D"], metavar="KEY=VALUE"), UseAppendAction]
 Folder = Annotated[Path | None, arg(metavar="FOLDER")]
 Memory = Annotated[

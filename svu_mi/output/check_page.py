@@ -24,11 +24,12 @@ from svu_mi.capture.importers.axis_fixes import find_fixes
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.capture.tonemap import tone_mapped
+from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.prefiltered import rasterized
 from svu_mi.output.html import THUMBNAIL, PageImage, embedded_jpeg, write_page
-from svu_mi.output.object_views import up_of_poses, viewing_frame
+from svu_mi.output.object_views import viewing_frame
 from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.style import AFTER, BEFORE
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.capture.up_direction import UP
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.output import style
-from svu_mi.output.object_views import UP, viewing_frame
+from svu_mi.output.object_views import viewing_frame
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
 
 if TYPE_CHECKING:

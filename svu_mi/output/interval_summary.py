@@ -16,6 +16,10 @@ from svu_mi.posterior.quadrature import bin_edges
 TOLERANCE = 0.05  # largest half-width of an interval that counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
 ROUNDING = 1e-6  # rounding of interval ends in single precision
+ESTIMATED_LIGHT = (
+    "the light was estimated from the photographs, and then fewer than 90 % of the 90 % intervals "
+    "contain the truth"
+)
 
 
 class Intervals:
@@ -82,6 +86,11 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
     return CoarseIntervals(estimate.posterior, chosen, nearest)
 
 
+def sampled_intervals(estimate: Any) -> Intervals:
+    """Return the intervals of a few thousand seen texels, which determine shares to 1 or 2 %."""
+    return Intervals(estimate.posterior, chosen=subsample(np.flatnonzero(is_seen(estimate))))
+
+
 @dataclass(frozen=True)
 class IntervalSummary:
     """Fractions of the surface, by area, whose intervals are within a tolerance.
@@ -92,11 +101,14 @@ class IntervalSummary:
         seen_part: Fraction of the surface that any photograph shows.
         mean_entropy: Mean entropy of seen texels; None without any.
         known_part: Fraction of the *seen* surface where a parameter is known, by open parameter;
-            empty if no texel is seen.
-        all_known_part: Fraction of the seen surface where all parameters are known; 0 if unseen.
+            empty if no texel is seen, or if withheld.
+        all_known_part: Fraction of the seen surface where all parameters are known; 0 if unseen,
+            None if withheld.
         median_half_width: Median half-width by parameter, over the seen surface.
         cell_width: Width of the grid's widest cell by parameter, if intervals consist of whole
             cells and this width exceeds the tolerance.
+        resolution: Width and height of the texture whose texels are counted.
+        withheld: Reason why no parameter is called known; empty if intervals can be relied on.
     """
 
     level: float
@@ -104,9 +116,11 @@ class IntervalSummary:
     seen_part: float
     mean_entropy: float | None
     known_part: dict[str, float]
-    all_known_part: float
+    all_known_part: float | None
     median_half_width: dict[str, float]
     cell_width: dict[str, float]
+    resolution: tuple[int, int]
+    withheld: str
 
     @classmethod
     def of(
@@ -114,19 +128,18 @@ class IntervalSummary:
     ) -> IntervalSummary:
         """Summarise the intervals of an estimate.
 
-        ``intervals`` are computed from its posterior; by default, for a few thousand seen texels,
-        which determine fractions to about 1 or 2 %.
+        ``intervals`` are computed from its posterior (default: ``sampled_intervals``).
         """
-        seen = is_seen(estimate)
-        if intervals is None:
-            intervals = Intervals(estimate.posterior, chosen=subsample(np.flatnonzero(seen)))
+        seen, intervals = is_seen(estimate), intervals or sampled_intervals(estimate)
+        observed = estimate.observed
+        is_found = observed is not None and observed.capture.light_uncertainty is not None
         area = texel_areas(estimate)
         seen_part = area_share(area, seen)
         entropy = np.array(estimate.entropy, np.float64)[seen]
         area, seen = area[intervals.chosen], seen[intervals.chosen]
         names = list(open_axes(estimate)) if seen.any() else []
         half = {name: intervals.half_width(name)[seen] for name in names}
-        narrow = {name: is_within(width, tolerance) for name, width in half.items()}
+        narrow = {} if is_found else {n: is_within(width, tolerance) for n, width in half.items()}
         every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
         widest = {name: _widest_bin(estimate.posterior, name) for name in names}
         return cls(
@@ -135,27 +148,28 @@ class IntervalSummary:
             seen_part=seen_part,
             mean_entropy=float(entropy.mean()) if len(entropy) else None,
             known_part={name: area_share(area[seen], yes) for name, yes in narrow.items()},
-            all_known_part=area_share(area[seen], every) if narrow else 0.0,
+            all_known_part=None if is_found else area_share(area[seen], every) if narrow else 0.0,
             median_half_width={
                 name: weighted_median(width, area[seen]) for name, width in half.items()
             },
             cell_width={name: w for name, w in widest.items() if not is_within(w / 2, tolerance)},
+            resolution=tuple(estimate.texels.resolution),
+            withheld=ESTIMATED_LIGHT if is_found and names else "",
         )
 
     def summary(self) -> str:
         """Return "97 % of the surface seen, mean entropy 0.60. Roughness known to ..."."""
         if self.mean_entropy is None:
             return self.sentence()
-        part_seen = plain_percent(self.seen_part)
-        return (
-            f"{part_seen} of the surface seen, mean entropy {self.mean_entropy:.2f}. "
-            f"{self.sentence()}"
-        )
+        text = f"{plain_percent(self.seen_part)} of the surface seen, mean entropy "
+        return f"{text[0].upper()}{text[1:]}{self.mean_entropy:.2f}. {self.sentence()}"
 
     def sentence(self) -> str:
         """Return "Roughness known to ±0.05 on 62 % of the surface seen, metallic on ..."."""
         if not self.seen_part:
             return "No parameter is known: no photograph shows the surface."
+        if self.withheld:
+            return f"No parameter is called known to ±{self.tolerance:g}: {self.withheld}."
         if not self.known_part:
             return "All parameters were given."
         (first, share), *others = [
@@ -163,7 +177,7 @@ class IntervalSummary:
         ]
         clauses = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
         clauses += [f"{name} on {share}" for name, share in others]
-        limits = f"{100 * self.level:g} % intervals"
+        limits = f"{100 * self.level:g} % intervals of {'×'.join(map(str, self.resolution))} texels"
         if self.cell_width:
             limits += f"; the grid's cells are up to {max(self.cell_width.values()):.2f} wide"
         text = f"{', '.join(clauses)} ({limits})."

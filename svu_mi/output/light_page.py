@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_light_arrays
-from svu_mi.calibration.light.light_summary import LightComparison
+from svu_mi.calibration.light.light_summary import LightComparison, channel_factors
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
@@ -161,11 +161,10 @@ def known_colors(estimate: LightEstimate) -> np.ndarray:
 
 
 def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str]:
-    low, high = estimate.scale_interval
-    scale = f"base colours uncertain by a factor of {low.mean():.2f} to {high.mean():.2f}"
+    scale = f"factor of base colours {channel_factors(estimate)}"
     notes = [
         f"{plain_percent(estimate.known_part)} determined", f"{estimate.texels} texels",
-        scale if estimate.scale_sd.any() else "brightness given",
+        scale if estimate.scale_sd.any() else "brightness and colour given",
         "turns with the camera" if estimate.moves else "fixed in the world",
     ]  # fmt: skip
     if against is not None:

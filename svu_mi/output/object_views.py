@@ -1,4 +1,4 @@
-"""Views of the object: choice of sensors, crop windows, upward direction."""
+"""Views of the object: choice of sensors, crop windows."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.capture.up_direction import NEAR_AXIS, UP
 from svu_mi.guidance.strategies import farthest
 
 MARGIN = 0.06  # around the object, relative to its size
 Window = tuple[float, float, float, float]  # left, right, top, bottom, as fractions of the image
-UP = (0.0, 1.0, 0.0)
-STEEP = 0.3  # shortest mean upward vector of the cameras that defines a direction
-NEAR_AXIS = 0.9  # cosine above which a direction is snapped to an axis
 
 Axis = Literal["y", "z"]
 DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.0)}
@@ -70,12 +67,6 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
     return first / size, (first + side) / size
 
 
-def up_direction(capture: Any) -> np.ndarray:
-    """Return the upward direction (3,) of a capture (see ``up_of_poses``)."""
-    sensors = capture.used_sensors or capture.sensors
-    return up_of_poses(np.array([to_world(sensor) for sensor in sensors]))
-
-
 def front_and_right(
     capture: Any, center: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -100,22 +91,6 @@ def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
             break
     front = front / length
     return np.stack([np.cross(up, front), up, front])
-
-
-def up_of_poses(poses: np.ndarray) -> np.ndarray:
-    """Return the upward direction (3,) of poses (V, 4, 4), camera to world.
-
-    The mean upward direction, snapped to a world axis if close; +Y if the cameras have no common
-    direction, or without poses.
-    """
-    mean = poses[:, :3, 1].mean(axis=0) if len(poses) else np.zeros(3)
-    length = np.linalg.norm(mean)
-    if length < STEEP:
-        return np.array(UP)
-    axis = np.zeros(3)
-    largest = int(np.argmax(np.abs(mean)))
-    axis[largest] = np.sign(mean[largest])
-    return axis if mean @ axis > NEAR_AXIS * length else mean / length
 
 
 def nearest_axis(up: np.ndarray) -> Axis:

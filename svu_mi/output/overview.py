@@ -53,7 +53,7 @@ def write_overview(
             _marginal, estimate=estimate, name=name, means=means, summary=summary))
         for name in names
     ]  # fmt: skip
-    style.write_page(path, SIZE, HEADING, _notes(capture, estimate, result), [
+    style.write_page(path, SIZE, HEADING, _notes(capture, estimate, summary), [
         Block(panels=_objects(capture, estimate), shape=(1, 4), box=(LEFT, RIGHT, 0.455, 0.86),
               space=(0.03, 0), anchor="N"),
         Block(panels=[("Entropy", partial(_entropy_map, estimate=estimate, result=result)),
@@ -66,16 +66,16 @@ def write_overview(
     ])  # fmt: skip
 
 
-def _notes(capture: Capture, estimate: Estimate, result: EstimateArrays) -> list[str]:
-    seen, (width, height) = int(result.seen.sum()), estimate.texels.resolution
+def _notes(capture: Capture, estimate: Estimate, summary: IntervalSummary) -> list[str]:
+    (width, height), entropy = summary.resolution, summary.mean_entropy
     return [
         f"method {estimate.method}",
         f"preset {estimate.preset.name}",
         *(f"known {label_of(name)} {value:g}" for name, value in known_values(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
-        f"{width} × {height} texels, {grouped(len(result.seen))} in charts",
-        f"{grouped(seen)} seen ({100 * seen / max(len(result.seen), 1):.0f} %)",
-        f"mean entropy {result.entropy[result.seen].mean():.2f}" if seen else "nothing seen",
+        f"{width} × {height} texels, {grouped(estimate.texels.count)} in charts",
+        f"{plain_percent(summary.seen_part)} of the surface seen",
+        "nothing seen" if entropy is None else f"mean entropy {entropy:.2f}",
     ]
 
 
@@ -141,10 +141,7 @@ def _marginal(
     several = of_all.shape[1] == 3
     label = label_of(name).capitalize()
     style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
-    share = f"±{summary.tolerance:g} on {plain_percent(summary.known_part[name])}"
-    width = summary.cell_width.get(name)
-    rest = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
-    style.subtitle(axes, share + rest)
+    style.subtitle(axes, _share(summary, name))
     for k, color in enumerate(style.CHANNEL_COLORS if several else (style.INK,)):
         axes.plot(nodes, of_all[:, k], "o-", color=color, lw=1.8, ms=3)
         axes.plot(nodes, of_lowest[:, k], color=color, lw=1.2, ls=(0, (3, 2)))
@@ -155,6 +152,15 @@ def _marginal(
     for line, what in (("o-", "mean of all seen"), ("--", "10 % with lowest entropy")):
         axes.plot([], [], line, color=style.INK, lw=1.4, ms=3, label=what)
     style.legend(axes, 8, loc="upper left", borderaxespad=0, handlelength=1.6, labelspacing=0.2)
+
+
+def _share(summary: IntervalSummary, name: str) -> str:
+    """Return on which share of the surface a parameter is known."""
+    if summary.withheld:
+        return "light estimated: no ± given"
+    width = summary.cell_width.get(name)
+    rest = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
+    return f"±{summary.tolerance:g} on {plain_percent(summary.known_part[name])}{rest}"
 
 
 def _hatch(axes: Axes, result: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -31,7 +32,17 @@ from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
 from svu_mi.posterior.observations import observe
 
-FIELDS = ("logarithm", "cell_sd", "draws", "scale_sd", "misfit", "widening", "texels", "remarks")
+FIELDS = (
+    "logarithm",
+    "cell_sd",
+    "draws",
+    "scale_sd",
+    "tint_sd",
+    "misfit",
+    "widening",
+    "texels",
+    "remarks",
+)
 PAINT = {"type": "principled", "roughness": 0.5, "metallic": 0.0,
          "base_color": {"type": "rgb", "value": [0.3, 0.3, 0.3]}}  # fmt: skip
 
@@ -242,7 +253,8 @@ def test_known_base_colours_fix_the_brightness(gray_ball, tint):
     np.testing.assert_allclose(ours[1] * tint, 1, rtol=0.02)
     np.testing.assert_allclose(ours[0], ours[0][0], rtol=1e-6)
     np.testing.assert_allclose((1 / ours[0]).mean(), np.mean(tint), rtol=0.05)
-    assert not by_mean.scale_sd.any() and not by_card.scale_sd.any()
+    np.testing.assert_array_equal(by_mean.scale_sd, [0.0, 0.15, 0.0])  # tint stays unknown
+    assert not by_card.scale_sd.any()
 
 
 @pytest.mark.slow
@@ -287,26 +299,31 @@ def test_the_brightest_direction_is_where_the_light_is():
     assert direction is not None and direction @ np.array([1, 0, 0]) > np.cos(np.radians(15))
     even = replace(made_up_light(), logarithm=np.zeros((64, 3)))
     assert brightest(even) is None
-    said = list(summary_sentences(made_up_light()))
+    said = list(summary_sentences(made_up_light(), np.eye(3)[1]))
     assert said[0].startswith("The photographs determine ")
     assert "azimuth 9" in said[1] or "azimuth 8" in said[1]  # from -Z towards +X
     assert said[-1] == "Nothing is seen from below."
-    assert "no brightest direction" in list(summary_sentences(even))[1]
+    assert "no brightest direction" in list(summary_sentences(even, np.eye(3)[1]))[1]
+    from_x = list(summary_sentences(made_up_light(), np.eye(3)[0]))[1]
+    assert re.search(r"elevation (8\d|9\d)", from_x)
 
 
 def test_the_scale_is_said_as_long_as_it_is_open():
     assert scale_sentence(made_up_light()) == (
-        "Base colours have a common unknown factor, 0.72 to 1.39 (90 % interval); set it with "
-        "--grey-card or --mean-albedo of svu light."
+        "Base colours are determined up to a factor per channel, as brightness and colour of the "
+        "light are estimated: R 0.72 to 1.39, G 0.66 to 1.51, B 0.72 to 1.39 (90 % intervals). It "
+        "is removed by --grey-card of svu light, and its part common to all channels by "
+        "--mean-albedo."
     )
-    assert "was given" in scale_sentence(made_up_light().scaled(2))
+    assert "R 1.00 to 1.00, G 0.78 to 1.28, B 1.00" in scale_sentence(made_up_light().scaled(2))
+    assert "were given" in scale_sentence(made_up_light().scaled(np.full(3, 2)))
 
 
 def test_a_level_that_was_given_is_known():
     """A scaled light has no remark and no interval about its scale."""
     light = made_up_light()
     light = replace(light, remarks=(*light.remarks, UNANCHORED))
-    given = light.scaled(2.0)
+    given = light.scaled(np.full(3, 2.0))
     assert given.remarks == light.remarks[:-1]
     np.testing.assert_allclose(given.radiance, 2 * light.radiance, rtol=1e-5)
     emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(light.radiance)})

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import render_ball, turning
+from support.helpers import made_up_light, render_ball, turning
 
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.calibration.light.light_estimate import NINETY
 from svu_mi.calibration.light.light_prior import SD, prior_of
-from svu_mi.calibration.light.light_summary import compare_lights
+from svu_mi.calibration.light.light_summary import compare_lights, scale_sentence
 from svu_mi.core.arrays import fibonacci
 from svu_mi.errors import SceneError
 from svu_mi.light.environment import basis_at
@@ -56,6 +58,19 @@ def test_the_light_of_the_vase_is_found(vase):
     like = compare_lights(light, capture.environment)
     assert like.correlation > 0.9
     assert like.angle < 15
+
+
+def test_factor_of_each_channel_is_in_its_interval_under_coloured_light(tmp_path):
+    pixels = made_up_light().radiance * np.array([1.7, 1.0, 0.5], np.float32)
+    light = {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
+    capture = painted(tmp_path, light, roughness=0.25)
+    options = svu.LightOptions(texels=200, depths=((256, 6),), draws=2, moves=False)
+    found = svu.estimate_light(capture, svu.texels(capture.mesh, 48), options)
+    scale = compare_lights(found, capture.environment).scale
+    said = re.findall(r"[RGB] ([\d.]+) to ([\d.]+)", scale_sentence(found))
+    low, high = np.array(said, float).T
+    assert ((low < scale) & (scale < high)).all() and (high / low < 4).all()
+    assert (found.tint_sd > 0.05).all() and (found.tint_sd < found.scale_sd).all()
 
 
 def test_the_sun_is_brighter_and_not_the_paint_in_it():

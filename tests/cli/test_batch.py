@@ -19,7 +19,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import tyro
 from support.helpers import fails, run
 
 from svu_mi import scenes
@@ -36,9 +35,8 @@ from svu_mi.cli.batch.runner import (
     work_on_cluster,
 )
 from svu_mi.cli.batch.steps import STEPS, command_words, read_done, step_key, write_done
-from svu_mi.cli.help import REGISTRY
-from svu_mi.cli.main import Command
-from svu_mi.cli.shared_options import as_dict, repeat_known
+from svu_mi.cli.main import parse
+from svu_mi.cli.shared_options import as_dict
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import CaptureError, OptionError
 
@@ -228,11 +226,7 @@ def test_commands_accept_paths_with_spaces_and_dashes(tmp_path):
         words = command_words(
             STEPS[name], BatchItem("a", tmp_path / "a b", options), tmp_path, ["recover"]
         )
-        parsed = tyro.cli(
-            Command, args=repeat_known(words), registry=REGISTRY,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
-        )  # fmt: skip
-        parsed = as_dict(parsed)
+        parsed = as_dict(parse(*words))
         assert str(parsed["light"]) == given["light"] and parsed["shape"] == given["shape"]
         assert str(parsed["images"]) == given["images"] and parsed["scene"] == tmp_path / "a b"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -61,6 +62,7 @@ def made_up(monkeypatch):
         return made_up_light()
 
     monkeypatch.setattr(resolve_light, "estimate_light", estimate)
+    monkeypatch.setattr("svu_mi.calibration.light.estimate_light.estimate_light", estimate)
     return asked
 
 
@@ -86,13 +88,13 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     said = capsys.readouterr().out
     assert names(tmp_path / "a") == sorted([*FILES, "light.png"])
     assert "The light of the capture is used for comparison only." in said
-    assert "Base colours have a common unknown factor, " in said
+    assert "Base colours are determined up to a factor per channel, " in said
     assert "Comparison with the light of the capture: correlation " in said
     against = record(tmp_path / "a", "light.json")["against"]
     assert against["correlation"] > 0.4  # .57, of 64 cells and 100 texels
     scaled = (*SMALL, "--light-scale", 2, "--no-pictures")
     assert run("light", around, *scaled, "-o", tmp_path / "b") == 0
-    assert "brightness of the light was given" in capsys.readouterr().out
+    assert "Base colours are determined up to a factor per channel, " in capsys.readouterr().out
     assert names(tmp_path / "b") == FILES
     first, second = (svu.load_light(tmp_path / name) for name in "ab")  # deterministic
     np.testing.assert_allclose(second.radiance, 2 * first.radiance, rtol=1e-5)
@@ -224,6 +226,26 @@ def test_light_is_cached_with_results_of_read_only_capture(dark, tmp_path, made_
     assert f"Using the estimated light in {place}." in lit(dark, elsewhere=place)[1]
     assert len(made_up) == 1
     assert "The light cannot be cached; the next command estimates it again." in lit(dark)[1]
+
+
+def test_light_is_kept_in_the_capture_and_has_one_direction(dark, tmp_path, made_up, capsys):
+    """The cameras are turned until +X, where the light is brightest, is up."""
+    record = json.loads((dark / "capture.json").read_text())
+    turned = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    for sensor in record["sensors"]:
+        sensor["to_world"] = (turned @ sensor["to_world"]).tolist()
+    (dark / "capture.json").write_text(json.dumps(record))
+    estimated = lit(dark)[1]
+    direction = re.search(r"Brightest direction: elevation (8\d|90) .*", estimated)
+    shutil.rmtree(dark / "light")
+    assert run("light", dark, *SMALL, "--no-pictures", "-o", tmp_path / "out") == 0
+    said = capsys.readouterr().out
+    assert direction[0] in said and f"The light is cached in {dark / 'light'}." in said
+    capture, said = lit(dark)
+    assert f"Using the estimated light in {dark / 'light'}. Base colours are" in said
+    assert run("light", dark, *SMALL, "--no-pictures", "-o", dark / "light") == 0
+    assert "cached" not in capsys.readouterr().out
+    assert lit(dark)[0].found_light is not None and len(made_up) == 3
 
 
 def test_a_given_light_is_taken_instead(around, dark, tmp_path, made_up):

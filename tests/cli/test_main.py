@@ -64,7 +64,7 @@ def test_entropy_writes_four_files(shot, tmp_path, capsys):
         strict=True,
     )]  # fmt: skip
     summary, _, told = told.partition(". ")
-    assert told == f"{words[0]} {words[1]}, {words[2]} (90 % intervals)."
+    assert told == f"{words[0]} {words[1]}, {words[2]} (90 % intervals of 64×32 texels)."
     assert re.fullmatch(r"\d+ % of the surface seen, mean entropy 0\.\d\d", summary)
 
 
@@ -234,7 +234,7 @@ def test_demo_leaves_four_files(tmp_path, capsys):
     told = capsys.readouterr().out.splitlines()[-1]
     assert re.match(
         r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
-        r"surface seen, .* intervals\)\.$", told
+        r"surface seen, .* intervals of 32×32 texels\)\.$", told
     )  # fmt: skip
     assert names(tmp_path) == FILES
 

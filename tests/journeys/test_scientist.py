@@ -9,7 +9,7 @@ from support.journey import done
 
 FOUND = re.compile(
     r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
-    r"surface seen, metallic on .*, base colour on .* \(90 % intervals\)\."
+    r"surface seen, metallic on .*, base colour on .* \(90 % intervals of .*\)\."
 )
 
 

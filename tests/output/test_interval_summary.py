@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
+from svu_mi.capture.capture import LightUncertainty
 from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import subsample
@@ -39,11 +41,12 @@ class Given:
         return mi.TensorXf((high - low).reshape(len(low), -1).max(axis=1) / 2)
 
 
-def estimate_of(posterior, coverage=COVERAGE, footprint=FOOTPRINT):
+def estimate_of(posterior, coverage=COVERAGE, footprint=FOOTPRINT, light_uncertainty=None):
+    capture = SimpleNamespace(light_uncertainty=light_uncertainty)
     return SimpleNamespace(
         posterior=posterior, coverage=mi.UInt32(coverage),
-        entropy=np.linspace(0, 1, len(coverage)),
-        texels=SimpleNamespace(footprint=mi.Float(footprint)),
+        entropy=np.linspace(0, 1, len(coverage)), observed=SimpleNamespace(capture=capture),
+        texels=SimpleNamespace(footprint=mi.Float(footprint), resolution=(8, 4)),
     )  # fmt: skip
 
 
@@ -62,7 +65,7 @@ def test_figures_are_those_computed_by_hand(posterior):
     assert summary.cell_width == {}
     assert summary.sentence() == (
         "Roughness known to ±0.05 on 67 % of the surface seen, base colour on 33 % "
-        "(90 % intervals)."
+        "(90 % intervals of 8×4 texels)."
     )
 
 
@@ -70,8 +73,10 @@ def test_all_that_was_found_is_one_line(posterior):
     """The mean entropy is that of the four texels seen, of 0, 0.25, 0.5, 0.75 and 1."""
     assert IntervalSummary.of(estimate_of(posterior)).summary() == (
         "38 % of the surface seen, mean entropy 0.38. Roughness known to ±0.05 on 67 % of the "
-        "surface seen, base colour on 33 % (90 % intervals)."
+        "surface seen, base colour on 33 % (90 % intervals of 8×4 texels)."
     )
+    nearly = replace(IntervalSummary.of(estimate_of(posterior)), seen_part=0.998)
+    assert nearly.summary().startswith("Over 99 % of the surface seen")
     nothing = IntervalSummary.of(estimate_of(posterior, coverage=(0,) * 5))
     assert nothing.summary() == "No parameter is known: no photograph shows the surface."
 
@@ -93,11 +98,26 @@ def test_what_is_known_beforehand_is_no_finding(posterior):
     assert list(summary.known_part) == ["base_color"]
     assert summary.all_known_part == pytest.approx(1 / 3)
     assert summary.sentence() == (
-        "Base colour known to ±0.05 on 33 % of the surface seen (90 % intervals)."
+        "Base colour known to ±0.05 on 33 % of the surface seen (90 % intervals of 8×4 texels)."
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}
     summary = IntervalSummary.of(estimate_of(posterior))
     assert summary.sentence() == "All parameters were given."
+
+
+def test_nothing_is_called_known_under_estimated_light(posterior):
+    """The intervals remain, but no share of the surface is derived from them."""
+    summary = IntervalSummary.of(estimate_of(posterior, light_uncertainty=LightUncertainty()))
+    assert (summary.known_part, summary.all_known_part) == ({}, None)
+    assert summary.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
+    assert summary.summary() == (
+        "38 % of the surface seen, mean entropy 0.38. No parameter is called known to ±0.05: the "
+        "light was estimated from the photographs, and then fewer than 90 % of the 90 % intervals "
+        "contain the truth."
+    )
+    posterior.axes = {name: np.array([0.3]) for name in AXES}
+    given = IntervalSummary.of(estimate_of(posterior, light_uncertainty=LightUncertainty()))
+    assert given.sentence() == "All parameters were given."
 
 
 def certain(grid, cell):
@@ -115,7 +135,7 @@ def test_a_coarse_grid_knows_no_better_than_its_cells():
     assert summary.median_half_width == pytest.approx(half, abs=1e-6)
     assert summary.known_part == {"roughness": 0, "metallic": 1, "base_color": 1}
     assert summary.cell_width == pytest.approx({"roughness": 1 / 7, "metallic": 1 / 7})
-    assert summary.sentence().endswith("(90 % intervals; the grid's cells are up to 0.14 wide).")
+    assert summary.sentence().endswith("8×4 texels; the grid's cells are up to 0.14 wide).")
 
 
 def test_nothing_seen_is_said_and_nothing_computed(posterior):

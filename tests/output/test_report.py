@@ -14,11 +14,12 @@ from support.unseen import blind
 
 import svu_mi as svu
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
 from svu_mi.output.estimate_arrays import EstimateArrays
 from svu_mi.output.interval_summary import Intervals, IntervalSummary
-from svu_mi.output.object_views import front_and_right, up_direction
+from svu_mi.output.object_views import front_and_right
 from svu_mi.output.report import report, report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.recovery.svbrdf_textures import uniform_textures
@@ -150,7 +151,7 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
     banded = Banded(estimate)
     area = np.sin(np.pi * banded.v) * (np.array(estimate.coverage) > 0)
     for name, (first, second) in banded.borders.items():
-        parts = summary_text.WidthShares.of(estimate, banded.half_width(name))
+        parts = summary_text.WidthShares.of(estimate, banded, name)
         below = [area[banded.v < border].sum() / area.sum() for border in (first, second)]
         assert parts.settled == pytest.approx(below[0], abs=0.02)
         assert parts.roughly == pytest.approx(below[1] - below[0], abs=0.02)
@@ -164,21 +165,24 @@ def test_all_of_the_surface_is_exactly_all(estimate):
     """Else it would be called over 99 %, and a page would miss that nothing is seen."""
     for count in range(60, 160):
         footprint = mi.Float(np.array(estimate.texels.footprint)[:count])
-        posterior = SimpleNamespace(axes={})
-        some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint), posterior=posterior)
+        posterior = SimpleNamespace(axes={}, count=count)
+        texels = SimpleNamespace(footprint=footprint, resolution=(count, 1))
+        some = SimpleNamespace(texels=texels, posterior=posterior, observed=None)
         for seen in (True, False):
             some.coverage, some.entropy = np.full(count, int(seen)), np.zeros(count)
             assert IntervalSummary.of(some).seen_part == seen
         some.coverage = np.ones(count)
         for width in (0.05, 0.15, 0.16):
-            parts = summary_text.WidthShares.of(some, np.full(count, width, np.float32))
+            half = np.full(count, width, np.float32)
+            posterior.half_width = lambda *_, half=half: half
+            parts = summary_text.WidthShares.of(some, Intervals(posterior), "roughness")
             where = (width == 0.05, width == 0.15, width == 0.16)
             assert (parts.settled, parts.roughly, parts.wide) == where
 
 
 def test_known_parameters_are_listed_by_intervals(estimate, page, monkeypatch):
     banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
-    monkeypatch.setattr(report, "picture_intervals", lambda *_: banded)
+    monkeypatch.setattr(report, "sampled_intervals", lambda *_: banded)
     text = page()
     area = np.array(estimate.texels.footprint, np.float64)[seen] ** 2
     below = [area[banded.v[seen] < v].sum() / area.sum() for v in (0.3, 0.5, 0.7)]

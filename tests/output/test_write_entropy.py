@@ -186,7 +186,8 @@ def test_a_run_leaves_four_files_and_nothing_else(tmp_path, vase):
     assert record["inputs"]["left_out"] == [capture.names[3]]
     assert record["warnings"] == ["a sentence"]
     assert record["result"]["texels_seen"] == (np.array(estimate.coverage) > 0).sum()
-    assert record["result"]["intervals"] == vars(IntervalSummary.of(estimate))
+    intervals = vars(IntervalSummary.of(estimate))
+    assert record["result"]["intervals"] == {**intervals, "resolution": [64, 48]}
 
 
 def test_a_run_that_saw_nothing_is_recorded(tmp_path, vase):

@@ -311,7 +311,8 @@ def made_up_light(seed: int = 1, side: float = 1) -> LightEstimate:
     logarithm = np.log(0.5 + 12 * peak)[:, None] + 0.1 * rng.normal(size=(cells, 3))
     return LightEstimate(
         logarithm=logarithm, cell_sd=rng.uniform(0.2, 0.6, cells),
-        draws=logarithm + 0.2 * rng.normal(size=(2, cells, 3)), scale_sd=np.full(3, 0.2),
+        draws=logarithm + 0.2 * rng.normal(size=(2, cells, 3)),
+        scale_sd=np.array([0.2, 0.25, 0.2]), tint_sd=np.array([0.0, 0.15, 0.0]),
         misfit=(0.02, np.nan), widening=1.3, texels=99, remarks=("Nothing is seen from below.",),
     )  # fmt: skip
 

@@ -95,7 +95,7 @@ def estimate_light(
         widening = widening_of(fit.transport, columns, lights.draws, scale, switches)
     return LightEstimate(
         logarithm=fit.x + scale.best, draws=lights.draws + scale.best, cell_sd=lights.cell_sd,
-        scale_sd=scale.sd, misfit=misfit, widening=widening,
+        scale_sd=scale.sd, tint_sd=scale.tint, misfit=misfit, widening=widening,
         moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(scale, lights.cell_sd),
         gains=fit.gains,
     )  # fmt: skip

@@ -51,7 +51,7 @@ def scaled_by_mean(light: LightEstimate, observed: Observed, albedo: float) -> L
 
     def excess(result: Estimate) -> np.ndarray:
         mean = np.average(_base_color(result, "mean").mean(axis=1), weights=area)
-        return np.full(3, mean / albedo)
+        return np.asarray(mean / albedo)
 
     return _scaled(light, observed, excess)
 
@@ -106,7 +106,7 @@ def _scaled(
             "Base colours cannot be estimated under light that moves with the camera; set its "
             "brightness with --light-scale."
         )
-    total = np.ones(3)
+    total = np.ones(())
     for _ in range(MOST_ROUNDS):
         lit = light.scaled(total)
         capture = replace(with_light(observed.capture, lit), light_uncertainty=None)

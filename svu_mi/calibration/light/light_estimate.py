@@ -73,6 +73,7 @@ class LightEstimate:
             scale.
         draws: (K, N, 3) float64 posterior samples of log radiance, at fixed scale.
         scale_sd: (3,) float64 standard deviation of the log scale per channel; 0 if given.
+        tint_sd: (3,) float64 part of ``scale_sd`` that is not common to the channels.
         moves: True if the light moves with the cameras.
         misfit: Noise of the median texel relative to the mean radiance, for fixed and for moving
             light; NaN if not tested.
@@ -82,7 +83,7 @@ class LightEstimate:
         gains: Gains estimated together with the light; None if given.
 
     Example:
-        >>> light.scaled(2.0).scale_sd.tolist()
+        >>> light.scaled(np.full(3, 2.0)).scale_sd.tolist()
         [0.0, 0.0, 0.0]
     """
 
@@ -90,6 +91,7 @@ class LightEstimate:
     cell_sd: np.ndarray
     draws: np.ndarray
     scale_sd: np.ndarray
+    tint_sd: np.ndarray
     moves: bool = False
     misfit: tuple[float, float] = (np.nan, np.nan)
     widening: float = 1.0
@@ -101,7 +103,7 @@ class LightEstimate:
         low, high = self.scale_interval
         return (
             f"<LightEstimate of {self.texels} texels: {self.known_part:.0%} determined, "
-            f"scale {low.mean():.2f} to {high.mean():.2f}"
+            f"scale {low.min():.2f} to {high.max():.2f}"
             f"{', moves with the camera' if self.moves else ''}>"
         )
 
@@ -141,13 +143,14 @@ class LightEstimate:
         return np.stack([self._map(x) for x in self.draws[:count]])
 
     def scaled(self, factor: np.ndarray | float) -> LightEstimate:
-        """Return the light times a factor (scalar or per channel), with scale_sd 0."""
-        added = np.broadcast_to(np.log(factor), 3)
+        """Return the light times a known factor; a scalar leaves its tint uncertain."""
+        added, sd = np.broadcast_to(np.log(factor), 3), self.tint_sd * (np.ndim(factor) == 0)
         return replace(
             self,
             logarithm=self.logarithm + added,
             draws=self.draws + added,
-            scale_sd=np.zeros(3),
+            scale_sd=sd,
+            tint_sd=sd,
             remarks=tuple(remark for remark in self.remarks if remark != UNANCHORED),
         )
 

@@ -33,7 +33,8 @@ LIGHT_ARRAYS = {
     "logarithm": Field(REAL, (CELLS, 3), -HIGHEST, HIGHEST),
     "cell_sd": Field(REAL, (CELLS,), 0, HIGHEST),
     "draws": Field(REAL, (DRAWS, CELLS, 3), -HIGHEST, HIGHEST),
-    "scale_sd": Field(REAL, (3,), 0, HIGHEST), "moves": Field(REAL, (), 0, 1),
+    "scale_sd": Field(REAL, (3,), 0, HIGHEST), "tint_sd": Field(REAL, (3,), 0, HIGHEST),
+    "moves": Field(REAL, (), 0, 1),
     "misfit": Field(REAL, (2,), 0, 1e12), "widening": Field(REAL, (), 1, 1e5),
     "texels": Field(REAL, (), 0, 2**31),
 }  # fmt: skip
@@ -162,7 +163,7 @@ def _estimate_of(arrays: dict[str, np.ndarray]) -> LightEstimate:
     checked(arrays | known, LIGHT_ARRAYS | (GAIN_ARRAYS if has_gains else {}), closed=True)
     if np.isnan(arrays["misfit"][int(arrays["moves"])]):
         raise ValueError("the misfit of the chosen light is NaN")
-    names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd")
+    names = (*GAIN_ARRAYS, "logarithm", "cell_sd", "draws", "scale_sd", "tint_sd")
     real = {name: arrays[name].astype(np.float64) for name in names if name in arrays}
     still, moving = arrays["misfit"].tolist()
     gains = None

@@ -18,7 +18,6 @@ BLUR = 15.0  # full width at half maximum of the compared lights, in degrees
 DEGREE = 48  # higher degrees are removed by the blur
 POINTS = 2048  # evenly spaced directions
 STANDS_OUT = 2.0  # minimum ratio of the brightest direction to the mean
-UP = np.array([0.0, 1.0, 0.0])
 NOTED = 0.08  # reported log gain: twice the error with few photographs
 FEWEST = 3  # photographs per quarter needed to detect drift
 OF_MEDIAN = 1.25 * 1.48  # standard error of a median relative to the median deviation
@@ -87,10 +86,10 @@ def compare_lights(estimate: LightEstimate, emitter: Any) -> LightComparison:
     )  # fmt: skip
 
 
-def summary_sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
-    """Yield sentences about an estimate; ``up``: (3,) zenith direction (default: +Y)."""
+def summary_sentences(estimate: LightEstimate, up: np.ndarray) -> Iterator[str]:
+    """Yield sentences about an estimate; ``up``: (3,) zenith (``up_direction`` of the capture)."""
     yield f"The photographs determine {100 * estimate.known_part:.0f} % of the light's variance."
-    yield direction_sentence(estimate, UP if up is None else up)
+    yield direction_sentence(estimate, up)
     yield scale_sentence(estimate)
     if estimate.moves:
         yield "The light moves with the camera: turntable or flash."
@@ -118,13 +117,19 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
 
 def scale_sentence(estimate: LightEstimate) -> str:
     """Return a sentence about the scale of the light."""
-    low, high = estimate.scale_interval
     if not estimate.scale_sd.any():
-        return "The brightness of the light was given, so base colours are absolute."
+        return "Brightness and colour of the light were given, so base colours are absolute."
     return (
-        f"Base colours have a common unknown factor, {low.mean():.2f} to {high.mean():.2f} (90 % "
-        "interval); set it with --grey-card or --mean-albedo of svu light."
+        "Base colours are determined up to a factor per channel, as brightness and colour of the "
+        f"light are estimated: {channel_factors(estimate)} (90 % intervals). It is removed by "
+        "--grey-card of svu light, and its part common to all channels by --mean-albedo."
     )
+
+
+def channel_factors(estimate: LightEstimate) -> str:
+    """Return the 90 % intervals of the scale per channel: "R 0.72 to 1.39, G ..."."""
+    ends = zip(LETTERS, *estimate.scale_interval, strict=True)
+    return ", ".join(f"{letter} {low:.2f} to {high:.2f}" for letter, low, high in ends)
 
 
 def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:

@@ -18,12 +18,17 @@ from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.calibration.light.light_folder import RECORD, load_light, photographs_of, save_light
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_summary import gain_sentences, summary_sentences
+from svu_mi.calibration.light.light_summary import (
+    gain_sentences,
+    scale_sentence,
+    summary_sentences,
+)
 from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.import_options import Light
 from svu_mi.capture.replace_material import make_scene
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.io.provenance import LIGHT
 from svu_mi.core.progress import Progress
@@ -147,10 +152,7 @@ def _estimated(
     capture: Capture, elsewhere: Path | None, gains: bool | None, progress: Progress
 ) -> LightEstimate:
     """Return the light estimated from photographs, from the cache if possible."""
-    plain = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
-    plain += [elsewhere] if elsewhere is not None else []
-    places = {kind: [place.with_name(place.name + kind) for place in plain]
-              for kind in (WITH_GAINS, "")}  # fmt: skip
+    places = {kind: _folders(capture, elsewhere, kind) for kind in (WITH_GAINS, "")}
     unknown = gains is None and not capture.exposures_known
     key = photographs_key(capture)
     kept = [
@@ -164,11 +166,28 @@ def _estimated(
         if unknown:
             light, sentence = with_needed_gains(light)
             progress.say(sentence)
-        for sentence in summary_sentences(light):
+        for sentence in summary_sentences(light, up_direction(capture)):
             progress.say(sentence)
-        kind = "" if light.gains is None else WITH_GAINS
-        _keep(light, places[kind], (key, options), progress)
+        settings = {"used": asdict(options), "resolution": [RESOLUTION] * 2}
+        _keep(light, places["" if light.gains is None else WITH_GAINS], key, settings, progress)
     return light
+
+
+def keep_light(
+    light: LightEstimate, capture: Capture, written: Path, settings: dict[str, Any],
+    progress: Progress,
+) -> None:  # fmt: skip
+    """Cache a light in the folder of its capture, unless it was ``written`` there."""
+    places = _folders(capture, None, "" if light.gains is None else WITH_GAINS)
+    if places and not any(place.resolve() == written.resolve() for place in places):
+        _keep(light, places, photographs_key(capture), settings, progress)
+
+
+def _folders(capture: Capture, elsewhere: Path | None, kind: str) -> list[Path]:
+    """Return the folders that may contain a cached light; ``kind`` ends their names."""
+    places = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
+    places += [elsewhere] if elsewhere is not None else []
+    return [place.with_name(place.name + kind) for place in places]
 
 
 def with_needed_gains(light: LightEstimate) -> tuple[LightEstimate, str]:
@@ -189,6 +208,7 @@ def _under_given(
         is_same = key == photographs_key(capture)
         if not is_same and key:
             progress.say(f"{given}: using a light that was estimated from other photographs.")
+        progress.say(scale_sentence(light))
         if light.gains is not None and not is_same:
             progress.say(
                 f"{given}: its gains may be of other photographs and are not used; estimate gains "
@@ -219,23 +239,22 @@ def _load_kept(places: list[Path], key: str, progress: Progress) -> LightEstimat
         except CaptureError as error:
             progress.say(f"{error.shell} Estimating the light again.")
             continue
-        progress.say(f"Using the estimated light in {place}.")
+        progress.say(f"Using the estimated light in {place}. {scale_sentence(light)}")
         return light
     return None
 
 
 def _keep(
-    light: LightEstimate, places: list[Path], made: tuple[str, LightOptions], progress: Progress
-) -> None:
-    """Cache the light in the first writable folder, with its key and options."""
-    key, options = made
-    about = {"settings": {"used": asdict(options), "resolution": [RESOLUTION, RESOLUTION]}}
+    light: LightEstimate, places: list[Path], key: str, settings: dict[str, Any],
+    progress: Progress,
+) -> None:  # fmt: skip
+    """Cache the light in the first writable folder, with its key and settings."""
     for place in places:
         try:
             with claimed(
                 place, LIGHT, overwrite=True
             ) as claim:  # from other photographs, or damaged
-                save_light(light, claim, photographs=key, about=about)
+                save_light(light, claim, photographs=key, about={"settings": settings})
         except OutputError as error:
             progress.say(error.shell)
             continue

@@ -329,7 +329,8 @@ def _figures_of(folder: Path) -> dict[str, float]:
     except SvuError:
         return {}
     intervals = result["intervals"]
-    return {
+    figures = {
         "seen": intervals["seen_part"], "entropy": result["mean_entropy_of_seen"],
         "known": intervals["all_known_part"],
     }  # fmt: skip
+    return {name: value for name, value in figures.items() if value is not None}

@@ -11,11 +11,12 @@ import numpy as np
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.mesh import MeshArrays, arrays, check_buffers
 from svu_mi.capture.replace_material import is_two_sided
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.identifiers import plain_name
 from svu_mi.core.io.schema import LARGEST
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded_image
-from svu_mi.output.object_views import Axis, nearest_axis, up_direction
+from svu_mi.output.object_views import Axis, nearest_axis
 from svu_mi.recovery.svbrdf_textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # folder and file of an export

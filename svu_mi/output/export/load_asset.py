@@ -14,6 +14,7 @@ import numpy as np
 from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
 from svu_mi.capture.plugin_security import pin_own_plugins
 from svu_mi.capture.scene import last_sentence
+from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.io.exr import read_header
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.folder_exchange import restore
@@ -28,7 +29,7 @@ from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
 from svu_mi.output.export.asset import Asset
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.object_views import nearest_axis, up_of_poses
+from svu_mi.output.object_views import nearest_axis
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
 

@@ -14,6 +14,7 @@ import numpy as np
 import svu_mi
 from svu_mi.calibration.light.light_summary import summary_sentences
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
 from svu_mi.output import style
@@ -25,8 +26,12 @@ from svu_mi.output.estimate_arrays import (
     open_axes,
 )
 from svu_mi.output.html import NARROW_SPACE, grouped, page_of, percent
-from svu_mi.output.interval_summary import Intervals, IntervalSummary, picture_intervals
-from svu_mi.output.object_views import up_direction
+from svu_mi.output.interval_summary import (
+    Intervals,
+    IntervalSummary,
+    picture_intervals,
+    sampled_intervals,
+)
 from svu_mi.output.report import report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.rerender import WORST
@@ -81,6 +86,7 @@ def write_report(
     result, table = EstimateArrays.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     intervals = picture_intervals(estimate, report_pictures.MAP_SIDE)
     shown = _pictures(capture, estimate, textures, table, intervals, report)
+    intervals = sampled_intervals(estimate)  # as in the summaries of other commands
     summary = IntervalSummary.of(estimate, intervals)
     today = datetime.date.today()
     name = capture.source.resolve().name if capture.source else str(capture.shape.id())
@@ -162,11 +168,11 @@ def _summary(
     return {
         "seen": summary.seen_part,
         "settled": [
-            (label_of(name), summary_text.WidthShares.of(estimate, intervals.half_width(name)),
+            (label_of(name), summary_text.WidthShares.of(estimate, intervals, name),
              f"±{summary.median_half_width[name]:.2f}")
             for name in summary.known_part
         ],
-        "all_settled": summary.all_known_part,
+        "all_settled": summary.all_known_part, "withheld": summary.withheld and summary.sentence(),
         "tolerance": f"±{summary.tolerance:g}", "roughly": f"±{summary_text.ROUGHLY:g}",
         "level": f"{100 * summary.level:g}{NARROW_SPACE}%",
         "cell": f"{max(summary.cell_width.values(), default=0):.2f}",

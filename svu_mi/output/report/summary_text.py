@@ -8,7 +8,7 @@ import numpy as np
 
 from svu_mi.output.estimate_arrays import is_seen, known_values, label_of, texel_areas
 from svu_mi.output.html import grouped
-from svu_mi.output.interval_summary import TOLERANCE, area_share, is_within
+from svu_mi.output.interval_summary import TOLERANCE, Intervals, area_share, is_within
 
 ROUGHLY = 0.15  # largest half-width of an interval that counts as roughly determined
 STEEP = 0.5  # smallest mean sine of elevation that counts as upwards or downwards
@@ -39,11 +39,11 @@ class WidthShares(NamedTuple):
     wide: float
 
     @classmethod
-    def of(cls, estimate: Any, half_width: np.ndarray) -> WidthShares:
-        """Return the shares for half-widths (T,); at least one texel must be seen."""
-        seen = is_seen(estimate)
-        area = texel_areas(estimate)[seen]
-        settled, roughly = (is_within(half_width[seen], x) for x in (TOLERANCE, ROUGHLY))
+    def of(cls, estimate: Any, intervals: Intervals, name: str) -> WidthShares:
+        """Return the shares of a parameter; at least one texel of the intervals must be seen."""
+        seen = is_seen(estimate)[intervals.chosen]
+        area, half = texel_areas(estimate)[intervals.chosen][seen], intervals.half_width(name)[seen]
+        settled, roughly = (is_within(half, x) for x in (TOLERANCE, ROUGHLY))
         return cls(
             area_share(area, settled),
             area_share(area, roughly & ~settled),

@@ -13,11 +13,12 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import bounding_sphere, film_size, make_sensor, projected
 from svu_mi.capture.tonemap import ObjectView, object_only_scene
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views
-from svu_mi.output.object_views import front_and_right, up_direction
+from svu_mi.output.object_views import front_and_right
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance relative to a bounding sphere that just fits

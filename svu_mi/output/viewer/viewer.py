@@ -16,11 +16,12 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.image_io import srgb
 from svu_mi.capture.sensors import bounding_sphere
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.identifiers import markdown_text
 from svu_mi.output.estimate_arrays import is_seen
 from svu_mi.output.html import percent
 from svu_mi.output.interval_summary import Intervals
-from svu_mi.output.object_views import DIRECTION, Axis, front_and_right, up_direction
+from svu_mi.output.object_views import DIRECTION, Axis, front_and_right
 from svu_mi.output.style import MARK
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer.access_control import serve, stop
