@@ -60,6 +60,7 @@ class Recover(LitCommand, ResultCommand):
     """Gradient steps of sh, at least 1 (default: from the preset)."""
     parameters: Parameters = NAMES
     """Textures to recover; the others keep their initial values (see --start)."""
+    known: opt.Known = ()
     initial: From = None
     """Folder of the initial base_color.exr, roughness.exr and metallic.exr (default: posterior
     means for sh; 0.5 for path and the presets of the paper)."""
@@ -85,6 +86,7 @@ class Recover(LitCommand, ResultCommand):
         """Refuse invalid options (OptionError)."""
         super().check()
         opt.parse_resolution(self.resolution)
+        opt.parse_known(self.known)
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
         opt.require_range("--seed", self.seed, 0)
@@ -124,15 +126,18 @@ class Recover(LitCommand, ResultCommand):
         capture, texels = self.load_with_light(progress, need, size, again=self.resume)
         _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
+        # Losses of the paper are combined with the posterior of its model.
+        model = "paper" if self.preset in PAPER_PRESETS else "default"
+        fixed, given = opt.parse_known(self.known), None
+        if fixed is not None:
+            given = estimate(seen, preset=model, known=fixed, progress=progress)
         recovery = recover(
-            seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
+            given or seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
             parameters=self.parameters, start=initial, checkpoint=place.draft / CHECKPOINT,
             resume=self.resume, checkpoint_seconds=self.checkpoint_seconds, progress=progress,
             **options,
         )  # fmt: skip
-        # Losses of the paper are combined with the posterior of its model.
-        model = "paper" if self.preset in PAPER_PRESETS else "default"
-        known = recovery.estimate or estimate(seen, preset=model, progress=progress)
+        known = recovery.estimate or given or estimate(seen, preset=model, progress=progress)
         warn_if_too_bright(known)
         field = None
         if supports_texture_field(known):

@@ -65,7 +65,16 @@ GivenLight = Annotated[
         "+Z (default: the map of the scene; estimated if it has none).",
     ),
 ]
-Known = Annotated[tuple[str, ...], arg(metavar="NAME=VALUE | scene"), UseAppendAction]
+Known = Annotated[
+    tuple[str, ...],
+    UseAppendAction,
+    arg(
+        metavar="NAME=VALUE | scene",
+        help="Value of a parameter that is not estimated, such as metallic=0; scene: all "
+        "parameters that are constant in the scene's material. Repeatable (default: all are "
+        "estimated).",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,8 +194,6 @@ class EstimateOptions:
     """paper: the published method; fast: less accurate, grey; fixed (angular only): noise of 8 %
     of the mean radiance instead of estimated noise."""
     known: Known = ()
-    """Value of a parameter that is not estimated, such as metallic=0; scene: all parameters that
-    are constant in the scene's material. Repeatable (default: all are estimated)."""
 
     @property
     def model(self) -> str:

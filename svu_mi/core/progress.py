@@ -22,12 +22,13 @@ from typing import Any
 
 from rich import progress as rich
 from rich.console import Console
+from rich.table import Column
 from rich.text import Text
 
 from svu_mi.errors import printable
 
-COMPILING = "compiling kernels (first run only)"
-PATIENCE = 2.0  # seconds without an update after which ``COMPILING`` is shown
+COMPILING = "first run: compiling kernels"
+PATIENCE = 2.0  # seconds without an update after which ``COMPILING`` is shown in such a run
 PERIOD = 30.0  # seconds between two lines of one stage in a log
 
 
@@ -115,7 +116,7 @@ class Progress:
             return
         self._live = True
         try:
-            with _bar(self._console) as bar:
+            with _bar(self._console, compiled_kernels() > 0) as bar:
                 yield Stage(bar, bar.add_task(printable(name), total=total, state=None))
         finally:
             self._live = False
@@ -125,21 +126,22 @@ def _can_redraw(console: Console) -> bool:
     return (console.is_terminal and not console.is_dumb_terminal) or console.is_jupyter
 
 
-def _bar(console: Console) -> Any:
+def _bar(console: Console, is_first_run: bool) -> Any:
 
     class Steps(rich.ProgressColumn):
-        """Steps and status text; ``COMPILING`` if the first step takes long."""
+        """Steps and status text; ``COMPILING`` if the first step of a first run takes long."""
 
         def render(self, task: rich.Task) -> Text:
             steps = "" if task.total is None else f"{task.completed:.0f}/{task.total:.0f} "
-            silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
+            silent = is_first_run and task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
             text = task.fields["state"]
-            return Text(steps + printable(COMPILING if text is None and silent else text or ""))
+            shown = printable(COMPILING if text is None and silent else text or "")
+            return Text(steps + shown, overflow="ellipsis", no_wrap=True)
 
     return rich.Progress(
         rich.SpinnerColumn("dots" if console.encoding.startswith("utf") else "line"),
         rich.TextColumn("{task.description}", markup=False), rich.BarColumn(bar_width=24),
-        rich.TimeElapsedColumn(), Steps(), console=console, transient=True,
+        rich.TimeElapsedColumn(), Steps(Column(no_wrap=True)), console=console, transient=True,
     )  # fmt: skip
 
 

@@ -242,6 +242,17 @@ def test_demo_leaves_four_files(tmp_path, capsys):
 COMMANDS = list(main.COMMANDS)
 
 
+def test_typing_errors_are_answered_for_the_same_command(capsys):
+    assert fails(capsys, "entrpy", "a.xml") == "svu: entrpy: no such command; did you mean entropy?"
+    assert fails(capsys) == "svu: svu --help lists the commands."
+    with pytest.raises(SystemExit) as stop:
+        run("entropy", "a.xml", "--resolutoin", 3)
+    said = capsys.readouterr()
+    told = said.out + said.err
+    assert stop.value.code == 2 and "--resolution" in told and "svu entropy --help" in told
+    assert "compare" not in told and "guide" not in told
+
+
 def help_of(command, width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     assert run(*command, "--help") == 0

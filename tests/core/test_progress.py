@@ -75,10 +75,23 @@ def test_a_terminal_shows_a_bar_and_the_state():
 
 def test_silence_is_explained_by_compilation(monkeypatch):
     monkeypatch.setattr(progress_module, "PATIENCE", 0.1)
+    for compiled in (0, 3):
+        monkeypatch.setattr(progress_module, "compiled_kernels", lambda n=compiled: n)
+        where, stream = console(terminal=True)
+        with Progress(where).stage("Fitting"):
+            time.sleep(0.35)
+        assert (COMPILING in stream.getvalue()) == (compiled > 0)
+
+
+def test_the_live_line_is_one_line_on_a_narrow_terminal(monkeypatch):
+    monkeypatch.setattr(progress_module, "PATIENCE", 0.0)
+    monkeypatch.setattr(progress_module, "compiled_kernels", lambda: 1)
     where, stream = console(terminal=True)
+    where.width = 40
     with Progress(where).stage("Fitting"):
-        time.sleep(0.35)
-    assert COMPILING in stream.getvalue()
+        time.sleep(0.15)
+    live = stream.getvalue().rpartition("Fitting: ")[0]
+    assert "Fitting" in live and live.count("\n") == 1  # at the end
 
 
 def test_a_stage_that_fails_is_said_but_not_recorded():
