@@ -318,6 +318,9 @@ def test_damaged_records_are_made_again(shelf_of, tmp_path, number):
     outcome = runner.work(item, Made())
     assert outcome.sentence == "" and math.isfinite(outcome.seconds)
     assert outcome.figures == {}
+    withheld = figures.replace("X", "0.7").replace('part": 0.5', 'part": null')  # estimated light
+    run_record.write_text(f'{{"result": {{{withheld}}}}}')
+    assert runner.work(item, Made()).figures == {"seen": 0.7, "entropy": 0.5}
 
 
 @pytest.mark.slow

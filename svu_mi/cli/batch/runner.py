@@ -28,7 +28,7 @@ from svu_mi.core.memory import free_memory
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
 PART = Field(NUMBER, (), 0, 1)
-INTERVALS = Field({"seen_part": PART, "all_known_part": PART})
+INTERVALS = Field({"seen_part": PART, "all_known_part": PART._replace(default=None)})
 ENTROPY = {"result": Field({"intervals": INTERVALS, "mean_entropy_of_seen": PART})}
 TRIES = 3  # if a command is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which also reaches the commands
