@@ -80,7 +80,7 @@ def _only_candidate(shapes: Sequence[Any], path: str) -> Any:
     candidates = [shape for shape in bodies if _has_principled(shape)] or bodies
     if len(candidates) > 1:
         raise SceneError(
-            f"{path}: several shapes could be the object; choose one with --shape, from "
+            f"{path}: several shapes could be the object; choose one with "
             f"{_listed(shapes, candidates)}; commas join several to one object."
         )
     return candidates[0]
@@ -97,9 +97,7 @@ def _named(shapes: Sequence[Any], name: str, path: str) -> list[Any]:
             label = excerpt(repr(word), LONGEST)
             problem = f"{len(found)} shapes are {label}" if found else f"there is no shape {label}"
             known = [shapes[k] for k in found] or shapes
-            raise SceneError(
-                f"{path}: {problem}; choose one with --shape, from {_listed(shapes, known)}."
-            )
+            raise SceneError(f"{path}: {problem}; choose one with {_listed(shapes, known)}.")
         numbers += found
     return [shapes[number] for number in dict.fromkeys(numbers)]
 
@@ -127,8 +125,13 @@ def _word(shapes: Sequence[Any], shape: Any) -> str:
 
 
 def _listed(shapes: Sequence[Any], some: Sequence[Any]) -> str:
-    names = [f"{shlex.quote(_word(shapes, s))} ({excerpt(s.class_name())})" for s in some[:LISTED]]
-    return ", ".join(names) + (f" and {len(some) - LISTED} more" if len(some) > LISTED else "")
+    """Return the options that choose each of some shapes, to be typed as they are."""
+    options = [
+        f"--shape {shlex.quote(_word(shapes, shape))} ({excerpt(shape.class_name())})"
+        for shape in some[:LISTED]
+    ]
+    more = f" and {len(some) - LISTED} more" if len(some) > LISTED else ""
+    return ", ".join(options) + more
 
 
 def _has_principled(shape: Any) -> bool:

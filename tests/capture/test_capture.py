@@ -743,11 +743,13 @@ SECOND = (
 
 def test_two_candidate_shapes_need_a_choice(tmp_path):
     path = photographed(tmp_path, extra=SECOND)
-    with pytest.raises(SceneError, match=r"several shapes.*--shape, from ball \(PLYMesh\), other"):
+    with pytest.raises(
+        SceneError, match=r"several shapes.*--shape ball \(PLYMesh\), --shape other"
+    ):
         load_capture(path)
     with pytest.warns(SvuWarning, match="by 'ball' falls on 'other'"):
         assert load_capture(path, shape="other").shape.id() == "other"
-    with pytest.raises(SceneError, match=r"no shape 'third'.*ball \(PLYMesh\), other"):
+    with pytest.raises(SceneError, match=r"no shape 'third'.*ball \(PLYMesh\), --shape other"):
         load_capture(path, shape="third")
 
 

@@ -24,8 +24,8 @@ def test_map_of_the_right_object(case, tmp_path, capsys):
     if case.choice is not None:
         assert run(*words) == 2
         line = last_line(capsys)
-        assert "several shapes could be the object; choose one with --shape, from" in line
-        assert all(f"{shlex.quote(name)} (" in line for name in case.choice.split(","))
+        assert "several shapes could be the object; choose one with --shape" in line
+        assert all(f"--shape {shlex.quote(name)} (" in line for name in case.choice.split(","))
         assert not out.exists()
         words += ["--shape", case.choice]
     assert run(*words) == 0
