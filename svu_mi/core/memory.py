@@ -2,8 +2,8 @@
 
 ``COSTS`` and ``MODELS`` are fitted to measured peaks of whole processes: vases with 24 to 60
 photographs of 64^2 to 512^2 pixels, and grids of 64^2 to 1024^2 texels, nearly all on charts.
-Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels. No
-command exceeds its estimate (``tests/support/announced.py``).
+Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels. No command exceeds
+its estimate in the runs of ``tests/support/announced.py``.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ tests execute, by six operators in turn.
 
 ``--machinery`` draws only, in input, files, records, viewer and batch, and also in lines that no
 test executes. The tests of these rooms that execute the line run first, the shortest before, then
-all of these rooms; with ``--slow``, also those marked so. Faults of ``equivalent`` in faults.toml
+all of ``make test``; with ``--slow``, then the slow tests. Faults of ``equivalent`` in faults.toml
 change nothing that a test could see, for the reason there.
 """
 
@@ -47,8 +47,8 @@ NEAR = ("capture", "core", "robustness", "cli", "journeys", "calibration/test_li
         "evaluation/test_traced_posterior.py")  # fmt: skip
 OPERATORS = ("negate a condition", "drop a statement", "swap two arguments",
              "change a constant", "off by one", "widen a limit")  # fmt: skip
-LIMIT = 900  # seconds of a run of tests
-SHORTEST = 12  # tests that execute a line, of which ...
+LIMIT = 240  # seconds of the nearest tests, of which there are so many:
+SHORTEST = 12
 SPARE = 12  # sites of a drawn fault, of which the first that is executed is chosen
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
@@ -79,6 +79,10 @@ class Fault:
         changed = text[:start] + self.wrong + text[start + len(self.right) :]
         compile(changed, self.file, "exec")
         return changed
+
+    def place(self) -> str:
+        """Return the file and the line."""
+        return f"{self.file}:{self.line}"
 
     def planted_line(self) -> str:
         """Return the line with a drawn fault in it."""
@@ -149,8 +153,7 @@ def drawn(count: int, seed: int, groups: Sequence[Sequence[str]], spare: int) ->
         spots = _spots(rooms, operator)
         if len(spots) < SPARE:  # there are few: those of all rooms
             spots = _spots([room for some in groups for room in some], operator)
-        if spare == 1:
-            spots = [fault for fault in spots if [fault] not in chosen]
+        spots = [fault for fault in spots if [fault] not in chosen]
         chosen.append(random.Random(f"{seed} {number}").sample(spots, min(spare, len(spots))))
     return chosen
 
@@ -165,7 +168,7 @@ def executed(
     chosen: list[list[Fault]], tree: Path, tests: Sequence[str] = ()
 ) -> tuple[dict[str, list[str]], list[str]]:
     """Return the tests that execute each line, the shortest first, and those that fail already."""
-    watched = [f"{fault.file}:{fault.line}" for some in chosen for fault in some]
+    watched = [fault.place() for some in chosen for fault in some]
     (tree / "watched.json").write_text(json.dumps(watched))
     broken = failures(tree, tests, "-p", "support.faults", "--maxfail", "1000")
     ran: dict[str, dict[str, float]] = {}
@@ -173,15 +176,6 @@ def executed(
         for place, seconds in json.loads(file.read_text()).items():
             ran.setdefault(place, {}).update(seconds)
     return {place: sorted(tests, key=tests.__getitem__) for place, tests in ran.items()}, broken
-
-
-def first_executed(chosen: list[list[Fault]], ran: dict[str, list[str]]) -> Iterator[Fault]:
-    """Yield the first fault of each draw that tests execute, if any, with the shortest tests."""
-    for some in chosen:
-        there = [fault for fault in some if f"{fault.file}:{fault.line}" in ran]
-        for fault in (there or (some if len(some) == 1 else []))[:1]:
-            tests = ran.get(f"{fault.file}:{fault.line}", [])
-            yield replace(fault, tests=tests[:SHORTEST])
 
 
 class Watcher:
@@ -235,7 +229,7 @@ def copied(tree: Path) -> None:
             (tree / name).write_bytes((ROOT / name).read_bytes())
 
 
-def failures(tree: Path, tests: Sequence[str], *options: str) -> list[str]:
+def failures(tree: Path, tests: Sequence[str], *options: str, limit: float = 3600) -> list[str]:
     """Return which of the fast tests fail, of all if none are named; the first one, by default."""
     kernels = os.environ.get("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
     paths = os.pathsep.join([str(tree), str(tree / "tests")])
@@ -244,23 +238,27 @@ def failures(tree: Path, tests: Sequence[str], *options: str) -> list[str]:
             [sys.executable, "-m", "pytest", "-x", "-m", "not slow", "-n", "2", "--dist",
              "loadfile", *options, *(f"tests/{name}" for name in tests)],
             cwd=tree, env={**os.environ, "PYTHONPATH": paths, "DRJIT_CACHE_DIR": kernels},
-            capture_output=True, text=True, check=False, timeout=LIMIT,
+            capture_output=True, text=True, check=False, timeout=limit,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        return [f"no end within {LIMIT} s"]
+        return [f"no end within {limit} s"]
     failed = FAILED.findall(run.stdout)
     return failed or ([] if run.returncode in (0, 5) else [(run.stdout + run.stderr)[-200:]])
 
 
 def tried(fault: Fault, tree: Path, stages: Sequence[Sequence[str]], broken: list[str]) -> str:
-    """Plant a fault; return the first test of the stages that notices it, or mypy, or nothing."""
+    """Plant a fault; return the first test that notices it, or mypy, or nothing.
+
+    The nearest tests go first, then all fast ones with the options of each stage.
+    """
     path = tree / fault.file
     text = path.read_text(encoding="utf-8")
     path.write_text(fault.planted(text), encoding="utf-8")
     but = [f"--deselect={name}" for name in broken]
     try:
+        noticed = fault.tests and failures(tree, fault.tests, "-n", "0", *but, limit=LIMIT)
         for words in stages:
-            if noticed := failures(tree, (), *words, *but):
+            if noticed := noticed or failures(tree, (), *words, *but):
                 return noticed[0]
         mypy = subprocess.run([sys.executable, "-m", "mypy"], cwd=tree, capture_output=True)
         return "mypy" if mypy.returncode else ""
@@ -289,20 +287,22 @@ def main() -> int:
     groups, count, seed = (MACHINERY, 60, 46) if asked.machinery else (ROOMS, 12, 43)
     count, seed = (count if asked.drawn is None else asked.drawn), asked.seed or seed
     chosen = drawn(count, seed, groups, 1 if asked.machinery else SPARE)
-    near = [name for name in NEAR if asked.machinery]
     with tempfile.TemporaryDirectory(prefix="svu-faults-") as folder:
         tree, missed = Path(folder), 0
         copied(tree)
+        near = NEAR if asked.machinery else ()
         ran, broken = executed(chosen, tree, near) if chosen else ({}, [])
         if broken:
             print("These fail without any fault:", *broken, file=sys.stderr)
         print("| fault | file | caught by | seconds |\n|---|---|---|--:|", flush=True)
-        for fault in (*written, *first_executed(chosen, ran)):
+        for some in chosen:  # the first that tests execute, or the only one
+            place = next((at for at in map(Fault.place, some) if at in ran), some[0].place())
+            if place in ran or asked.machinery:
+                fault = next(fault for fault in some if fault.place() == place)
+                written.append(replace(fault, tests=ran.get(place, [])[:SHORTEST]))
+        for fault in written:
             if not asked.only or any(part in fault.name for part in asked.only):
-                start, whole = time.perf_counter(), [f"tests/{name}" for name in near]
-                nearest = [f"tests/{name}" for name in fault.tests]
-                stages = [["-n", "0", *nearest]] if nearest else []
-                stages += [whole, *([["-m", "slow", *whole]] if asked.slow else [])]
+                start, stages = time.perf_counter(), [[], *([["-m", "slow"]] if asked.slow else [])]
                 reason = harmless.get((fault.file, fault.planted_line()))
                 noticed = f"equivalent: {reason}" if reason else tried(fault, tree, stages, broken)
                 missed += not noticed
