@@ -10,14 +10,15 @@ from functools import partial
 import numpy as np
 import pytest
 from support.announced import RUN, announced_and_taken, prepared, words
-from support.helpers import fails, python
+from support.helpers import fails, python, run
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.capture import mesh
 from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.rendering import plan_render
-from svu_mi.cli.loading import photograph_memory
+from svu_mi.cli.loading import light_search_need, photograph_memory
 from svu_mi.core import memory
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
@@ -262,7 +263,11 @@ def test_each_command_names_a_remedy(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "resolution"),
-    [*((command, 256) for command in COMMANDS), ("entropy", 640), ("recover", 640)],  # in tiles
+    [
+        *((command, 256) for command in COMMANDS if command != "light"),
+        ("entropy", 640),
+        ("recover", 640),
+    ],  # in tiles
 )
 def test_no_command_takes_more_than_it_has_announced(command, resolution, shot, tmp_path):
     announced, peak = announced_and_taken(*words(command, shot, tmp_path, resolution))
@@ -275,6 +280,22 @@ def test_no_command_takes_more_than_it_has_announced(command, resolution, shot, 
 def test_rendering_importing_and_exporting_take_no_more_either(command, tmp_path):
     announced, peak = announced_and_taken(*prepared(command, tmp_path, 1024))
     assert announced / 2 < peak <= announced, (announced, peak)
+
+
+@linux
+@pytest.mark.slow
+def test_an_estimate_of_the_light_takes_no_more(tmp_path):
+    views = "--views", 24, "--resolution", 48, "--spp", 4, "-D", "light=window"
+    assert run("render", scenes.path("vase"), *views, "-o", tmp_path / "shot") == 0
+    announced, peak = announced_and_taken(*words("light", tmp_path / "shot", tmp_path, 256))
+    assert announced / 2 < peak <= announced, (announced, peak)
+
+
+def test_many_texels_count_in_an_estimate_of_the_light():
+    """From 40 photographs, half of which show a texel, this one takes 1.07 GB."""
+    options = LightOptions(texels=10_000, depths=((64, 1),))
+    need = light_search_need(Sizes([(128, 128)] * 40), (256, 256), options)
+    assert 1.07e9 < need.bytes < 2e9
 
 
 def test_texels_that_no_chart_covers_take_next_to_nothing():
