@@ -10,7 +10,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.core.io.exr import read_exr, write_exr
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.parameters import CHANNELS
 from svu_mi.posterior.estimate import Estimate
@@ -97,7 +97,7 @@ def read_map(path: Path) -> np.ndarray | None:
         return None
     channels = read_exr(path)
     if "Y" not in channels:
-        raise CaptureError(f"{path}: expected the channel Y, found {', '.join(channels)}.")
+        raise CaptureError(f"{path}: expected the channel Y, found {excerpt(', '.join(channels))}.")
     return channels["Y"]
 
 

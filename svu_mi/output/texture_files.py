@@ -185,9 +185,8 @@ def _read_exr_texture(path: Path, count: int) -> np.ndarray:
     channels = read_exr(path)
     wanted = "RGB" if count == 3 else next((c for c in "YR" if c in channels), "Y")
     if not set(wanted) <= set(channels):
-        raise CaptureError(
-            f"{path}: expected the channels {', '.join(wanted)}, found {', '.join(channels)}."
-        )
+        found = excerpt(", ".join(channels))
+        raise CaptureError(f"{path}: expected the channels {', '.join(wanted)}, found {found}.")
     if count == 1:
         image = _single_channel(path, [channels[wanted], *channels.values()])
     else:

@@ -21,12 +21,15 @@ from svu_mi.capture.importers.nerf import read_transforms, write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.sensors import make_sensor
 from svu_mi.core.identifiers import materialx_name, obj_name, plain_name, xml_id
+from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError
 from svu_mi.output import style
 from svu_mi.output.export.asset import Asset
 from svu_mi.output.export.write_asset import export_asset
 from svu_mi.output.guidance_page import _short_name
 from svu_mi.output.html import write_page
+from svu_mi.output.maps import read_map
+from svu_mi.output.texture_files import read_texture
 from svu_mi.output.write_guidance import write_sensors
 from svu_mi.recovery.svbrdf_textures import Textures
 
@@ -179,3 +182,10 @@ def test_legal_names(name):
     for legal in (obj_name(name), xml_id(name), materialx_name(name)):
         assert legal and not set(legal) & set("\n\r <>&\"'$#./\\")
     assert materialx_name(name).isidentifier() and materialx_name(name).isascii()
+
+
+def test_names_of_channels_add_no_control_characters(tmp_path):
+    write_exr(tmp_path / "entropy.exr", {"a\x19b": np.zeros((2, 2), np.float32)})
+    for read in (read_map, lambda path: read_texture(path, "roughness")):
+        with pytest.raises(CaptureError, match=r"Y, found a\?b\."):
+            read(tmp_path / "entropy.exr")
