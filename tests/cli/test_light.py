@@ -214,7 +214,7 @@ def test_a_broken_one_is_said_and_found_again(dark, made_up):
     path = dark / "light" / "light.npz"
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.warns(SvuWarning, match="the older content is kept as light.before"):
-        assert "light.npz: cannot be used" in lit(dark)[1]
+        assert "light.npz: File is not a zip file" in lit(dark)[1]
     assert len(made_up) == 2 and svu.load_light(dark / "light").texels == 99
 
 

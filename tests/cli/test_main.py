@@ -79,6 +79,10 @@ def test_result_as_capture_is_refused_with_its_source(tmp_path, capsys):
     record["inputs"] = {"source": "shots/vase"}
     (result / "run.json").write_text(json.dumps(record))
     assert fails(capsys, *words).endswith("; give the capture it was computed from (shots/vase).")
+    record["settings"] = {"given": {"scene": "my scene/a.xml", "images": "my scene/shots"}}
+    (result / "run.json").write_text(json.dumps(record))
+    line = fails(capsys, *words)
+    assert line.endswith(" from ('my scene/a.xml' --images 'my scene/shots').")
 
 
 @pytest.mark.parametrize(
@@ -236,7 +240,8 @@ def test_demo_leaves_four_files(tmp_path, capsys):
         r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
         r"surface seen, .* intervals of 32×32 texels\)\.$", told
     )  # fmt: skip
-    assert names(tmp_path) == FILES
+    assert names(tmp_path) == sorted(["capture", *FILES])
+    assert names(tmp_path / "capture")[0] == "capture.json"
 
 
 COMMANDS = list(main.COMMANDS)

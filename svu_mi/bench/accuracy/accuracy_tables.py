@@ -95,6 +95,7 @@ def accuracy_tables(record: Record) -> list[str]:
 def agreement_lines(record: Record) -> list[str]:
     """Return one line of text per map: its correlation with the reference."""
     return [f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
+            + " (assumes other noise than the reference)" * (row["label"] in OTHER_NOISE)
             for row in record["summary"] if row["pearson"] is not None]  # fmt: skip
 
 

@@ -90,9 +90,9 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
     if kind == AUTO:
         raise CaptureError(
-            f"{path}: not a capture of a known format; expected transforms.json, a COLMAP model, "
-            "poses_bounds.npy, cameras_sphere.npz, Stanford-ORB or Objects with Lighting: choose "
-            "one with --format."
+            f"{path}: not a capture of a known format; give a folder that contains "
+            "transforms.json, a COLMAP model, poses_bounds.npy, cameras_sphere.npz, Stanford-ORB "
+            "or Objects with Lighting."
         )
     if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -171,7 +172,9 @@ def require_no_result(folder: Path) -> None:
     entries = entries_in(folder)
     if others := [entry.command for entry in entries.values() if entry.command not in CAPTURES]:
         record = read_json(folder / RUN_RECORD) if RUN_RECORD in entries else None
-        source = text_in(record, "inputs", "source")
+        given = {name: text_in(record, "settings", "given", name) for name in ("scene", "images")}
+        words = [given["scene"], *(["--images", given["images"]] if given["images"] else [])]
+        source = shlex.join(words) if words[0] else text_in(record, "inputs", "source")
         raise CaptureError(
             f"{folder}: is a result of svu {excerpt(others[0], 40)}; give the capture it was "
             + (f"computed from ({excerpt(source, 300)})." if source else "computed from.")
