@@ -110,6 +110,6 @@ def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float]
 
 def _ratio_of_points(points: np.ndarray, width: float) -> float:
     """Return the diagonal of the points' bounding box, without outliers, relative to the mesh."""
-    low, high = np.quantile(points, [0.02, 0.98], axis=0)
-    diagonal = float(np.linalg.norm(high - low))
+    with np.errstate(all="ignore"):  # damaged points may be huge
+        diagonal = float(np.linalg.norm(np.ptp(np.quantile(points, [0.02, 0.98], axis=0), axis=0)))
     return diagonal / width if 0 < diagonal < np.inf else 1.0

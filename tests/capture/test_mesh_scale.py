@@ -36,6 +36,7 @@ def test_points_of_the_surroundings_do_not_count(sensors):
     """A room of 40 x 40 x 40 around a ball that the cameras frame."""
     points = np.random.default_rng(881).uniform(-20, 20, (500, 3))
     assert wrong_scale(ball().positions, sensors, points) is None
+    assert wrong_scale(ball().positions, sensors, 1e307 * points) is None  # damaged
 
 
 def test_cameras_in_a_mesh_of_their_surroundings_are_no_mistake(sensors):

@@ -35,6 +35,7 @@ from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerf import write_transforms
+from svu_mi.capture.importers.nerfstudio_world import AppliedWorld, read_normalisation
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.source import Frame, Light, Source
@@ -115,6 +116,12 @@ def exposures(folder: Path, out: Path) -> None:
     """Read exposures of a photograph from a list, and from its EXIF data."""
     frame = frame_of(folder / "view_0000.jpg")
     with_exif_gains(with_listed_gains([frame], folder / "gains.txt"))
+
+
+def normalisation(folder: Path, out: Path) -> None:
+    """Move a mesh out of nerfstudio's normalised world."""
+    applied = AppliedWorld(np.diag([1.0, -1, -1, 1]), 2.0)
+    assert np.isfinite(read_normalisation(folder / "dataparser_transforms.json", applied)).all()
 
 
 def response(folder: Path, out: Path) -> None:
@@ -257,6 +264,7 @@ def _colmap(folder: Path, *, text: bool = False) -> None:
         (model / "images.txt").write_text(
             "1 1 0 0 0 0.5 1 2 1 view_0000.png\n3.5 4.5 -1\n2 0 1 0 0 0 0 3 1 view_0001.png\n\n"
         )
+        (model / "points3D.txt").write_text("1 0.5 1 2 9 9 9 0.1 1 0\n2 3 -1 2 9 9 9 0.1 1 1\n")
 
 
 def _llff(folder: Path) -> None:
@@ -285,6 +293,11 @@ def _exposures(folder: Path) -> None:
     exif.get_ifd(0x8769).update({0x829A: 0.02, 0x8827: 100, 0x829D: 4.0})  # time, ISO, aperture
     write_integers(folder, "view_0000.jpg", "RGB", exif=exif)
     (folder / "gains.txt").write_text("# name gain\nview_0000.jpg 0.5\n\nother.jpg 2  # bright\n")
+
+
+def _normalisation(folder: Path) -> None:
+    record = {"transform": np.eye(4)[[1, 2, 0]].tolist(), "scale": 0.5}
+    (folder / "dataparser_transforms.json").write_text(json.dumps(record))
 
 
 def _response(folder: Path) -> None:
@@ -377,6 +390,7 @@ def _all_formats() -> Iterator[Format]:
         yield Format(name=name, make=make, targets=targets, read=read)
     yield Format(name="svu import", make=_imported, read=program, share=10)
     yield Format(name="exposures", make=_exposures, read=exposures)
+    yield Format(name="normalisation", make=_normalisation, read=normalisation)
     yield Format(name="response", make=_response, read=response)
     yield Format(name="capture", make=write_scene_capture, read=capture, share=4)
     yield Format(name="scene", make=_scene, read=scene, targets="*.xml", share=2)
