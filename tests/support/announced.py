@@ -71,7 +71,7 @@ def announced_and_taken(*words: object) -> tuple[float, float]:
     """Run a command in a process of its own; return gigabytes."""
     done = subprocess.run(
         [sys.executable, "-c", RUN, "0", *map(str, words)],
-        capture_output=True, text=True, timeout=300, check=False,
+        capture_output=True, text=True, timeout=1800, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     announced = re.findall(r"Needs up to ([\d.]+) GB of memory", done.stdout)
