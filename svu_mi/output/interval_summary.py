@@ -86,6 +86,12 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
     return CoarseIntervals(estimate.posterior, chosen, nearest)
 
 
+def has_estimated_light(estimate: Any) -> bool:
+    """Return whether the light was estimated, so that intervals are too narrow."""
+    observed = estimate.observed
+    return observed is not None and observed.capture.light_uncertainty is not None
+
+
 def sampled_intervals(estimate: Any) -> Intervals:
     """Return the intervals of a few thousand seen texels, which determine shares to 1 or 2 %."""
     return Intervals(estimate.posterior, chosen=subsample(np.flatnonzero(is_seen(estimate))))
@@ -131,8 +137,7 @@ class IntervalSummary:
         ``intervals`` are computed from its posterior (default: ``sampled_intervals``).
         """
         seen, intervals = is_seen(estimate), intervals or sampled_intervals(estimate)
-        observed = estimate.observed
-        is_found = observed is not None and observed.capture.light_uncertainty is not None
+        is_found = has_estimated_light(estimate)
         area = texel_areas(estimate)
         seen_part = area_share(area, seen)
         entropy = np.array(estimate.entropy, np.float64)[seen]

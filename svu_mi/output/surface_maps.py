@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.tonemap import srgb
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import EstimateArrays, label_of, open_axes
-from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals
+from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals, has_estimated_light
 from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import PARAMETERS
@@ -148,14 +148,16 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
 def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceMap:
     """Return the map of a parameter's interval half-width."""
     half = f"half the width of the {100 * intervals.mass:g} % interval"
+    is_found = has_estimated_light(estimate)
+    counted = f"Points count as determined up to ±{TOLERANCE:g}, the darkest sixth of the colours."
     several = name == "base_color" and estimate.posterior.channels == 3
     widest = ", of the widest channel" if several else ""
     return SurfaceMap(
         name=f"uncertainty of {label_of(name)}", estimate=estimate,
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
-        sentence=f"Half-width of the {100 * intervals.mass:g} % interval{widest}. Points count as "
-        f"determined up to ±{TOLERANCE:g}, the darkest sixth of the colours.",
+        sentence=f"Half-width of the {100 * intervals.mass:g} % interval{widest}. "
+        + ("It is too small, as the light was estimated." if is_found else counted),
     )  # fmt: skip
 
 

@@ -278,7 +278,7 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     """All later commands use the same light."""
     out = tmp_path / "textures"
     size = ("--resolution", 24)
-    assert run("entropy", dark, *size, "--no-pictures", "-o", tmp_path / "entropy") == 0
+    assert run("entropy", dark, *size, "-o", tmp_path / "entropy") == 0
     assert run("recover", dark, *size, "--steps", 10, "-o", out) == 0
     assert run("report", dark, "--recovered", out, "-o", tmp_path / "page.html") == 0
     assert run("guide", dark, *size, "--candidates", 6, "--add", 1, "-o", tmp_path / "next") == 0
@@ -291,7 +291,12 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<h2>Estimated light</h2>" in page
     assert 'alt="Radiance of the light"' in page
+    withheld = "No parameter is called known to ±0.05: the light was estimated"
+    assert said.out.count(withheld) == 4 and withheld in page and "as the light was est" in page
+    assert 'class="parts"' not in page and "count as determined" not in page
+    assert said.out.count("Base colours are determined up to a factor per channel") == 5
     runs = [record(tmp_path / name) for name in ("entropy", "textures", "next")]
+    assert runs[0]["result"]["intervals"]["known_part"] == {}
     assert len({one["written"]["capture"] for one in runs}) == 1
     assert len({json.dumps(one["inputs"]["light"]) for one in runs}) == 1
     scene = svu.load_capture(out / "recovered.xml", dark)

@@ -241,7 +241,7 @@ def test_demo_leaves_four_files(tmp_path, capsys):
         r"surface seen, .* intervals of 32×32 texels\)\.$", told
     )  # fmt: skip
     assert names(tmp_path) == sorted(["capture", *FILES])
-    assert names(tmp_path / "capture")[0] == "capture.json"
+    assert "capture.json" in names(tmp_path / "capture")
 
 
 COMMANDS = list(main.COMMANDS)
