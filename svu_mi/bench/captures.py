@@ -48,7 +48,7 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
     store = Store(folder)
     if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
         with progress.stage(f"Loading {case.title}"):
-            return load_capture(folder)
+            return load_capture(case.scene, folder, defines=case.defines)  # wherever it is now
     store.path(MARK).unlink(missing_ok=True)
     with progress.stage(f"Rendering {case.title}", sizes.views) as stage:
         capture = render_capture(

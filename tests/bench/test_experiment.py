@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from support.helpers import sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.bench import BENCHMARKS, captures, experiment
 from svu_mi.bench.accuracy import score_posterior
 from svu_mi.bench.captures import capture_of, even_views
-from svu_mi.bench.cases import convert_glb, data_cases, own_cases
+from svu_mi.bench.cases import Case, convert_glb, data_cases, own_cases
 from svu_mi.bench.experiment import BenchRun, Experiment
 from svu_mi.bench.markdown import Bar, bar_table
 from svu_mi.bench.problem_sizes import ProblemSizes
@@ -213,6 +214,20 @@ def test_photographs_with_other_settings_are_rendered_again(tmp_path, monkeypatc
     assert half.names == ("view_0000.exr", "view_0002.exr", "view_0005.exr")
     assert len(half.images) == len(half.masks) == half.count == 3
     assert even_views(whole, 6).names == whole.names
+
+
+@pytest.mark.slow
+def test_photographs_of_a_scene_that_has_moved_are_used(tmp_path):
+    """As after an installation in another folder."""
+    (tmp_path / "first").mkdir()
+    scene = write_scene(tmp_path / "first", sensors=sensor_xml(2, 8, 8))
+    small = ProblemSizes(views=3, film=8, spp=1)
+    before = capture_of(Case("ball", "light", scene), small, tmp_path / "shots", Progress())
+    (tmp_path / "first").rename(tmp_path / "second")
+    moved, progress = Case("ball", "light", tmp_path / "second" / scene.name), Progress()
+    after = capture_of(moved, small, tmp_path / "shots", progress)
+    assert list(progress.timings) == ["Loading ball / light"]
+    np.testing.assert_array_equal(after.images, before.images)
 
 
 # --- data of the user's -------------------------------------------------------------------

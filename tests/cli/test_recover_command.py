@@ -304,3 +304,15 @@ def test_failed_page_is_an_error_and_leaves_no_result(shot, tmp_path, monkeypatc
     assert recover(shot, tmp_path) == 2
     assert last_line(capsys) == "svu: relit.png: the disk is full."
     assert not set(FILES) & set(names(tmp_path))
+
+
+@pytest.mark.slow
+def test_known_parameters_are_textures_of_their_value(shot, tmp_path):
+    out = tmp_path / "out"
+    words = ("--known", "metallic=0.25", "roughness=0.5", "--resolution", 16, "--steps", 3)
+    assert run("recover", *words, shot, "--no-pictures", "-o", out) == 0
+    assert (read_exr(out / "metallic.exr")["Y"] == 0.25).all()
+    assert (read_exr(out / "roughness.exr")["Y"] == 0.5).all()
+    assert np.ptp(read_exr(out / "base_color.exr")["G"]) > 0.1
+    record = json.loads((out / "run.json").read_text())
+    assert record["settings"]["used"]["estimate"]["known"] == {"metallic": 0.25, "roughness": 0.5}
