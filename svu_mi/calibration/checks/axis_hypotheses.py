@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
@@ -20,7 +20,7 @@ from svu_mi.capture.importers.axis_fixes import (
     fix_rotation,
 )
 from svu_mi.capture.importers.source import OPENCV, OPENGL
-from svu_mi.capture.mesh import arrays, make_mesh
+from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
 from svu_mi.capture.replace_material import is_same, make_scene
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
@@ -120,11 +120,16 @@ def apply_fixes(
 
 def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
     """Return the capture with the mesh of the object corrected by ``fix``."""
-    shape = make_mesh(capture.shape.id(), correct_mesh(arrays(capture.shape), fix))
+    return with_changed_mesh(capture, lambda mesh: correct_mesh(mesh, fix))
+
+
+def with_changed_mesh(capture: Capture, change: Callable[[MeshArrays], MeshArrays]) -> Capture:
+    """Return the capture with another mesh of the object, of the same material."""
+    shape = make_mesh(capture.shape.id(), change(arrays(capture.shape)))
     shape.set_bsdf(capture.shape.bsdf())
     mesh = shape
     if capture.mesh is not capture.shape:
-        mesh = make_mesh(capture.mesh.id(), correct_mesh(arrays(capture.mesh), fix))
+        mesh = make_mesh(capture.mesh.id(), change(arrays(capture.mesh)))
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     scene = make_scene([shape, *capture.scene.emitters(), *others])
     return replace(capture, shape=shape, mesh=mesh, scene=scene)

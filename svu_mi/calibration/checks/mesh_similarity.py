@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from svu_mi.calibration.checks.axis_hypotheses import with_changed_mesh
 from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import arrays, make_mesh
-from svu_mi.capture.replace_material import is_same, make_scene
+from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, focal_length, make_sensor, principal_point
 
@@ -33,20 +33,15 @@ class MeshSimilarity(NamedTuple):
 
     def apply(self, capture: Capture) -> Capture:
         """Return the capture with the mesh moved, and clip planes for it."""
-        moved = []
-        for old in (capture.shape, capture.mesh):
-            mesh = arrays(old)
-            positions = self.scale * (mesh.positions - self.before) + self.after
-            moved.append(make_mesh(old.id(), replace(mesh, positions=positions)))
-        shape, mesh = moved if capture.mesh is not capture.shape else moved[:1] * 2
-        shape.set_bsdf(capture.shape.bsdf())
-        others = [each for each in capture.scene.shapes() if not is_same(each, capture.shape)]
-        center, sensors = np.array(shape.bbox().center(), np.float64), []
+        moved = with_changed_mesh(capture, self._moved)
+        center, sensors = np.array(moved.shape.bbox().center(), np.float64), []
         for sensor in capture.sensors:
             clip = CLIP * np.linalg.norm(to_world(sensor)[:3, 3] - center)
             sensors.append(make_sensor({**describe(sensor), "clip": clip.tolist()}, sensor.id()))
-        scene = make_scene([shape, *capture.scene.emitters(), *others])
-        return replace(capture, shape=shape, mesh=mesh, scene=scene, sensors=tuple(sensors))
+        return replace(moved, sensors=tuple(sensors))
+
+    def _moved(self, mesh: MeshArrays) -> MeshArrays:
+        return replace(mesh, positions=self.scale * (mesh.positions - self.before) + self.after)
 
     @property
     def sentence(self) -> str:

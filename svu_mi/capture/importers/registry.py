@@ -84,7 +84,9 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     kind = options.format or AUTO  # None means the same from Python
     require_known([kind], (AUTO, *FORMATS), "format")
     if not path.exists():
-        raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
+        raise CaptureError(
+            f"{path}: no such file or folder; give that of a capture, such as my_colmap_project/."
+        )
     recognised = kind == AUTO
     if recognised:
         kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
