@@ -1,40 +1,26 @@
-"""Image files: headers, stored channels, and the sRGB transfer function."""
+"""Image files: header, stored channels, and conversion to linear sRGB."""
 
 from __future__ import annotations
 
 import contextlib
-import struct
-import threading
-import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
 
-import mitsuba as mi
 import numpy as np
-from PIL import Image
-from PIL.JpegImagePlugin import JpegImageFile
 
-from svu_mi.capture.hdr_pfm import hdr_size, pfm_size, read_hdr, read_pfm
-from svu_mi.core.io.exr import Header, read_header, read_pixels
-from svu_mi.core.io.files import may_hold
-from svu_mi.errors import CaptureError, SvuError, excerpt
+from svu_mi.capture.image_formats.color_space import to_linear_srgb
+from svu_mi.capture.image_formats.image_header import ImageHeader, require_plausible
+from svu_mi.capture.image_formats.recognition import FORMATS, format_of
+from svu_mi.capture.image_formats.recognition import SUFFIXES as SUFFIXES
+from svu_mi.capture.tone_curve import SampledCurve, Transfer, linearize
+from svu_mi.capture.tone_curve import decoded as decoded
+from svu_mi.capture.tone_curve import quantized as quantized
+from svu_mi.capture.tone_curve import srgb as srgb
+from svu_mi.errors import CaptureError, SvuError
 
-FLOATS = {".hdr": (hdr_size, read_hdr), ".pfm": (pfm_size, read_pfm)}  # in addition to EXR
-SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
-MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may contain any number
 LOST = 0.01  # largest tolerated sum of negative pixels, as a fraction of the image's sum
-ORIENTATION = 0x0112  # EXIF tag
-PNG = b"\x89PNG\r\n\x1a\n"  # signature
-HAS_EXIF = (b"eXIf", b"Raw profile type")  # PNG files without either have no EXIF data
-PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by colour type
-
-OTHER_COLORS = {("X", "Y", "Z"): "CIE XYZ", ("Y", "RY", "BY"): "luminance and chroma"}
-
-_opening = threading.Lock()  # warnings.catch_warnings is not thread-safe
-
-Transfer = Literal["srgb", "gamma 2.2", "linear"]
+TURNED = 5  # EXIF orientations from here exchange width and height
 
 
 @dataclass(frozen=True)
@@ -43,69 +29,90 @@ class ImageFile:
 
     Attributes:
         path: Path of the file.
-        header: Size of the image; for EXR, also the attributes in the file.
-        bits: 8 or 16 for integer (low dynamic range) files, 0 for floating point.
+        format: Name of the format of its content, such as ``PNG``.
+        header: Size, colour space and other properties.
+        upright: True to turn pixels as the EXIF orientation requests; False leaves them as stored.
     """
 
     path: Path
-    header: Header
-    bits: int
+    format: str
+    header: ImageHeader
+    upright: bool = True
+
+    @property
+    def bits(self) -> int:
+        """8 or 16 for integer (low dynamic range) files, 0 for floating point."""
+        return self.header.bits
+
+    @property
+    def orientation(self) -> int:
+        """EXIF orientation that is applied."""
+        return self.header.orientation if self.upright else 1
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height."""
-        return self.header.size
+        width, height = self.header.size
+        return (height, width) if self.orientation >= TURNED else (width, height)
+
+    def fitted(self, size: tuple[int, int]) -> ImageFile:
+        """Return the file as stored if only so it is as wide or as high as a camera's film."""
+        is_wide = self.size[0] > self.size[1]
+        wrong = self.size[0] != self.size[1] and size[0] != size[1] and is_wide != (
+            size[0] > size[1])  # fmt: skip
+        return replace(self, upright=False) if self.orientation >= TURNED and wrong else self
 
     def planes(self) -> list[np.ndarray]:
-        """Read the pixels as stored.
+        """Read the pixels.
 
         Returns:
             Float32 planes (H, W): red, green, blue, and alpha if present. Integers are scaled
-            to [0, 1] but not decoded.
+            to [0, 1] but not decoded; floating-point colours are converted to linear sRGB.
         """
         return [self.scaled(plane) if self.bits else plane for plane in self.stored()]
 
     def stored(self) -> list[np.ndarray]:
         """Read the pixels like ``planes``, but without conversion of integers."""
-        suffix = self.path.suffix.lower()
         with _readable(self.path):
-            if suffix == ".exr":
-                return _exr_planes(self.path, read_pixels(self.path, self.header))
-            _, read = FLOATS.get(suffix, (None, _integers))
-            values = read(self.path)
-        planes = [values[..., k] for k in range(values.shape[2])]
-        return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:]
+            values = FORMATS[self.format].read(self.path, self.header)
+        planes = values if isinstance(values, list) else list(np.moveaxis(values, 2, 0))
+        if planes[0].shape != self.header.size[::-1]:
+            raise CaptureError(f"{self.path}: changed while it was being read; read it again.")
+        planes = planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:]
+        if not self.bits:
+            planes[:3] = to_linear_srgb(planes[:3], self.header.color.matrix)
+        return [_turned(plane, self.orientation) for plane in planes]
 
     def scaled(self, codes: np.ndarray) -> np.ndarray:
         """Return integers as float32 in [0, 1]."""
         return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
 
-    def is_turned(self) -> bool:
-        """Return whether EXIF data request a rotation or mirroring for display.
+    def transfer(self, given: Transfer | SampledCurve = "srgb") -> Transfer | SampledCurve:
+        """Return the decoding of integers: that of the file, unless another than sRGB is given."""
+        return self.header.color.transfer if given == "srgb" else given
 
-        The orientation is not applied: all functions return pixels as stored.
-        """
+    def linear(self) -> list[np.ndarray]:
+        """Read red, green and blue as linear sRGB, float32 planes (H, W)."""
+        planes = self.planes()[:3]
         if not self.bits:
-            return False
-        with _readable(self.path):
-            if _is_png(self.path) and not any(w in self.path.read_bytes() for w in HAS_EXIF):
-                return False  # avoids Pillow, which would decode all pixels
-            with Image.open(self.path) as image:
-                return int(image.getexif().get(ORIENTATION, 1)) > 1
+            return planes
+        transfer = self.transfer()
+        planes = [linearize(plane, transfer, channel) for channel, plane in enumerate(planes)]
+        return to_linear_srgb(planes, self.header.color.matrix)
 
     def remarks(self) -> list[str]:
-        """Return messages about ignored metadata, without the name of the file."""
-        clauses = []
-        if self.header.foreign:
+        """Return messages about ignored properties, without the name of the file."""
+        clauses = list(self.header.remarks)
+        if self.path.suffix.lower() not in FORMATS[self.format].suffixes:
+            clauses.append(f"{self.format}, despite the suffix; read as {self.format}.")
+        if self.header.orientation > 1:
             clauses.append(
-                "its chromaticities are not Rec. 709; values are used without conversion. Convert "
-                "the file if colours matter."
-            )
-        if self.is_turned():
-            clauses.append(
-                "is stored rotated; the EXIF orientation is ignored, because poses must refer to "
-                "the pixels as stored."
-            )
+                "turned as the EXIF orientation requests. If svu check shows them turned, remove "
+                "this tag from the files."
+                if self.upright else
+                "not turned, although EXIF data request it, because poses refer to the pixels as "
+                "stored."
+            )  # fmt: skip
         return clauses
 
 
@@ -113,24 +120,15 @@ def open_image(path: Path) -> ImageFile:
     """Read the header of an image file; raise if it is not readable."""
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise CaptureError(f"{path}: not a supported image format ({', '.join(SUFFIXES)}).")
-    bits = 0
     with _readable(path):
-        if suffix == ".exr":
-            header = read_header(path)
-        elif suffix in FLOATS:
-            header = Header(FLOATS[suffix][0](path))
-        else:
-            header, bits = _integer_header(path)
-    width, height = header.size
-    if min(width, height) < 1 or width * height > MAX_PIXELS:
-        raise CaptureError(
-            f"{path}: the image is too large ({width} x {height} pixels) or damaged; export it "
-            "again."
-        )
-    return ImageFile(path, header, bits)
+        name = format_of(path)
+        if name is None:
+            raise ValueError("unknown content")
+        header = FORMATS[name].open(path)
+    require_plausible(path, header.size, header.channels * max(1, header.bits // 8))
+    return ImageFile(path, name, header)
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
@@ -139,59 +137,11 @@ def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
     return picture.planes(), picture.bits > 0
 
 
-def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
-    """Decode values in [0, 1] to linear float32."""
-    if transfer == "srgb":
-        low, high = encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
-        return np.where(encoded <= 0.04045, low, high).astype(np.float32)
-    power = 1 if transfer == "linear" else np.float32(2.2)
-    return np.asarray(encoded**power, np.float32)
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """Encode linear values in [0, 1] as sRGB (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
-    """Round values in [0, 1] to unsigned integers of 8 or 16 bits."""
-    most = 2**bits - 1
-    return (np.clip(image, 0, 1) * most + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
-
-
-def _exr_planes(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """Return R, G, B, and alpha if present, from the channels of an EXR."""
-    channels = _layer_channels(channels)
-    for names, space in OTHER_COLORS.items():
-        if channels.keys() >= set(names) and not channels.keys() >= set("RGB"):
-            raise CaptureError(
-                f"{path}: contains {space} ({', '.join(names)}) instead of RGB; export it as "
-                "plain RGB."
-            )
-    grey = channels.get("Y")
-    colors = [channels.get(name, grey) for name in "RGB"]
-    planes = [plane for plane in colors if plane is not None]
-    if len(planes) < 3:
-        raise CaptureError(
-            f"{path}: expected the channels R, G, B (or Y) in its first part, found "
-            f"{excerpt(', '.join(channels))}; export it as plain RGB or RGBA."
-        )
-    return planes + ([channels["A"]] if "A" in channels else [])
-
-
-def _layer_channels(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the channels without a layer, else those of the only or the "Combined" layer."""
-    if "R" in channels or "Y" in channels:
-        return channels
-    layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
-    whole = [layer for layer in layers if layer.endswith("Combined.")]  # Blender's final image
-    for prefixes in (layers, whole):
-        if len(prefixes) == 1:
-            return {
-                name.removeprefix(prefixes[0]): plane
-                for name, plane in channels.items() if name.startswith(prefixes[0])
-            }  # fmt: skip
-    return channels
+def _turned(plane: np.ndarray, orientation: int) -> np.ndarray:
+    """Return a view (H, W) that is upright (EXIF 2.32, 4.6.4)."""
+    plane = plane.T if orientation >= TURNED else plane
+    plane = plane[:, ::-1] if orientation in (2, 3, 6, 7) else plane
+    return plane[::-1] if orientation in (3, 4, 7, 8) else plane
 
 
 @contextlib.contextmanager
@@ -199,52 +149,12 @@ def _readable(path: Path) -> Iterator[None]:
     """Turn any decoder error into a ``CaptureError`` with the path."""
     try:
         yield
-    except CaptureError:
-        raise
+    except CaptureError as error:
+        if str(path) in str(error):
+            raise
+        raise CaptureError(f"{path}: {error}") from error
     except Exception as error:  # decoders raise many types
         raise CaptureError(f"{path}: not a readable image; save it again as EXR.") from error
-
-
-def _integer_header(path: Path) -> tuple[Header, int]:
-    """Return header and bit depth of a PNG or JPEG file; its suffix is ignored."""
-    bits = 8
-    if _is_png(path):
-        with path.open("rb") as stream:
-            *size, bits, kind = struct.unpack(">16xIIBB", stream.read(26))
-        pixel = PNG_CHANNELS[kind] * max(1, bits // 8)
-    else:
-        with _jpeg(path) as image:
-            size, pixel = list(image.size), len(image.getbands())
-    if not may_hold(path, size[0] * size[1] * pixel):
-        raise CaptureError(
-            f"{path}: the header declares {size[0]} x {size[1]} pixels, more than the file can "
-            "hold; export it again."
-        )
-    return Header((size[0], size[1])), 16 if bits == 16 else 8
-
-
-def _integers(path: Path) -> np.ndarray:
-    """Return (H, W, C) 8- or 16-bit integers."""
-    if _is_png(path):
-        values = np.array(mi.Bitmap(str(path)))  # Pillow does not support 16-bit colours
-    else:
-        with _jpeg(path) as image:  # Mitsuba's reader prints to the console on damaged files
-            if image.mode == "CMYK":
-                raise CaptureError(f"{path}: the image is in CMYK; export it as sRGB.")
-            values = np.array(image if image.mode in ("L", "RGB") else image.convert("RGB"))
-    return values[..., None] if values.ndim == 2 else values
-
-
-def _is_png(path: Path) -> bool:
-    with path.open("rb") as stream:
-        return stream.read(len(PNG)) == PNG
-
-
-def _jpeg(path: Path) -> Any:
-    """Open a JPEG file without ``Image.open``, which tries other formats."""
-    with _opening, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damaged EXIF data, which is not used
-        return JpegImageFile(path)
 
 
 def clamp_negative(

@@ -67,7 +67,8 @@ def check_photographs(
     for bits in (8, 16):
         group = [one for one in taken if one[0].bits == bits]
         text = (
-            f"{bits}-bit, not HDR; decoded as sRGB, {sum(one[0].saturated for one in group)} "
+            f"{bits}-bit, not HDR; decoded as {_curves(group)}, "
+            f"{sum(one[0].saturated for one in group)} "
             "saturated pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."
         )
         groups.append((group, text))
@@ -78,6 +79,11 @@ def check_photographs(
     text = "entirely black, not used; check the exposure, or remove the photograph and its"
     groups.append((black, f"{text} sensor."))
     return [f"{_subject(group, len(taken))}: {text}" for group, text in groups if group], used
+
+
+def _curves(group: Sequence[tuple[Photograph, Path, str]]) -> str:
+    names = {one[0].curve for one in group}
+    return " and ".join(sorted("sRGB" if name == "srgb" else name for name in names))
 
 
 def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:

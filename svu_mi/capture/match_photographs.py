@@ -10,21 +10,14 @@ from pathlib import Path
 from typing import Literal
 
 from svu_mi.capture.capture_folder import FILE
-from svu_mi.capture.image_io import SUFFIXES
+from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.errors import CaptureError, excerpt
 
 Missing = Literal["refuse", "leave-out"]
 VIEW, MASK = "view_", "mask_"
 LONGEST = 80  # characters of a file name in messages
-RAW = [
-    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".nef", ".orf", ".pef", ".raf", ".rw2", ".srw",
-]  # fmt: skip
-OTHERS = [".avif", ".bmp", ".gif", ".heic", ".heif", ".jxl", ".psd", ".tif", ".tiff", ".webp"]
-UNREADABLE = {
-    **dict.fromkeys(RAW, "develop them to linear EXR"),
-    **dict.fromkeys(OTHERS, "convert them to EXR, or to PNG"),
-}  # remedy for unsupported image formats, by suffix
+UNREADABLE = (".bmp", ".gif", ".jp2", ".psd", ".tga")
 
 
 class NoPhotographsError(CaptureError):
@@ -111,6 +104,7 @@ def _image_files(folder: Path) -> list[Path]:
         path for path in folder.iterdir()
         if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
     ]  # fmt: skip
+    paths = without_raw_doubles(paths)
     masks = {name for path in paths for name in masks_of(path.stem)}
     return sorted((path for path in paths if path.stem not in masks), key=_natural)
 
@@ -159,7 +153,7 @@ def _remedy(folder: Path) -> str:
     for suffix, count in others.most_common(1):
         return (
             f"the folder has no image in a supported format ({count} {suffix}: "
-            f"{UNREADABLE[suffix.lower()]} first)"
+            "convert them to EXR, or to PNG, first)"
         )
     return "the folder has no image: give the folder of the photographs with --images"
 

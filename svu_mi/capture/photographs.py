@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import inf
@@ -11,17 +11,23 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.crop import Window
-from svu_mi.capture.image_io import SUFFIXES, ImageFile, decoded, open_image, read_planes
+from svu_mi.capture.image_formats.color_space import to_linear_srgb
+from svu_mi.capture.image_io import SUFFIXES, ImageFile, open_image, read_planes
 from svu_mi.capture.match_photographs import masks_of
 from svu_mi.capture.pixel_buffer import PixelBuffer
-from svu_mi.capture.quantization import Rounding, Saturation
+from svu_mi.capture.quantization import (
+    SATURATED,
+    Rounding,
+    Saturation,
+    quantization_steps,
+    saturation_radiance,
+)
+from svu_mi.capture.tone_curve import linearize
 from svu_mi.core.io.provenance import RUN
 from svu_mi.core.memory import STORED, Size, decoders
 from svu_mi.core.validation import require_photographs
 from svu_mi.errors import CaptureError
 
-# Saturation threshold by bit depth, as a fraction of the encoded range; JPEG blurs highlights.
-SATURATED = {8: 0.98, 16: 0.995}
 UNUSABLE = -1.0  # marks an unusable pixel in all channels of an EXR file
 CLIPPED = -2.0  # marks a clipped channel in an EXR file with the attribute SATURATION
 SATURATION = "svu:saturation"  # EXR attribute: radiance at which the channels were clipped
@@ -42,8 +48,9 @@ class Photograph:
         marked: Number of pixels that are marked as unusable in the file.
         saturated: Number of pixels with clipped channels.
         bits: 8 or 16 for integer (low dynamic range) files, 0 for floating point.
+        curve: Name of the curve that decoded integers; empty for floating point.
         black: True if all usable pixels are 0.
-        remarks: Ignored metadata (see ``ImageFile.remarks``).
+        remarks: Ignored properties (see ``ImageFile.remarks``).
         run: Id of the run that wrote the file; empty if unknown.
         clipped: Clipped channels and their lower bounds; None without any.
         rounding: Quantisation steps; None for floating-point sources.
@@ -55,6 +62,7 @@ class Photograph:
     marked: int = 0
     saturated: int = 0
     bits: int = 0
+    curve: str = ""
     black: bool = True
     remarks: tuple[str, ...] = ()
     run: str = ""
@@ -67,7 +75,7 @@ def open_photographs(paths: Sequence[Path | None], films: Sequence[Size]) -> dic
     pictures: dict[int, ImageFile] = {}
     for view, (path, film) in enumerate(zip(paths, films, strict=True)):
         if path is not None:
-            pictures[view] = open_image(path)
+            pictures[view] = open_image(path).fitted(film)
             _require_size(path, pictures[view].size, film)  # before memory is allocated
     return pictures
 
@@ -125,10 +133,13 @@ def _read_photograph(
     clipped = None
     if channels.any():
         clipped = Saturation(channels, np.full(3, np.float32(least) / np.float32(exposure)))
-    rounding = Rounding.of(bits) if bits else _steps(picture)
+    rounding = _steps(picture)
+    if bits:
+        rounding = Rounding.between(*quantization_steps(picture.transfer(), bits))
     return Photograph(
         pixels=pixels, mask=None if mask is None else masked, invalid=invalid,
         marked=marked, saturated=saturated, bits=bits, black=black,
+        curve=str(picture.transfer()) if bits else "",
         remarks=tuple(picture.remarks()), run=str(picture.header.attributes.get(RUN, "")),
         clipped=clipped, rounding=None if rounding is None else rounding.divided(exposure),
     )  # fmt: skip
@@ -142,23 +153,31 @@ def _read_integers(
     picture: ImageFile, planes: Sequence[np.ndarray], window: Window, exposure: float,
     pixels: np.ndarray, channels: np.ndarray,
 ) -> Found:  # fmt: skip
-    """Decode sRGB integers by a table; clipped channels become NaN.
+    """Decode integers by a table; clipped channels become NaN.
 
     A downsampled channel is NaN if any pixel of its block is clipped, but only counts as clipped
-    (a lower bound) if all of them are.
+    (a lower bound) if all of them are. If channels are mixed by a colour matrix, a pixel with a
+    clipped channel is NaN, and only counts as clipped if all its channels are.
     """
     codes = np.arange(2**picture.bits, dtype=planes[0].dtype)
     encoded = picture.scaled(codes)
-    over = encoded > SATURATED[picture.bits]
-    table = np.where(over, np.float32(np.nan), decoded(encoded) / np.float32(exposure))
-    first, some = codes[over][0], np.zeros(planes[0].shape, bool)
-    for channel, plane in enumerate(planes[:3]):
-        clipped = plane >= first
-        some |= clipped
-        pixels[..., channel] = window.averaged(table[plane])
-        joined = window.joined(clipped, np.logical_and)
-        channels |= joined.astype(np.uint8) << channel
-    least = float(decoded(np.array(SATURATED[picture.bits], np.float32)))
+    first, transfer = codes[encoded > SATURATED[picture.bits]][0], picture.transfer()
+    clipped = [plane >= first for plane in planes[:3]]
+    some = np.logical_or.reduce(clipped)
+    tables = [linearize(encoded, transfer, k) / np.float32(exposure) for k in range(3)]
+    for table in tables:
+        table[first:] = np.nan
+    matrix = picture.header.color.matrix
+    linear: Iterable[np.ndarray] = (
+        table[plane] for table, plane in zip(tables, planes[:3], strict=True)
+    )
+    if matrix is not None:
+        linear = to_linear_srgb(list(linear), matrix)
+        clipped = [np.logical_and.reduce(clipped)] * 3
+    for channel, (plane, over) in enumerate(zip(linear, clipped, strict=True)):
+        pixels[..., channel] = window.averaged(plane)
+        channels |= window.joined(over, np.logical_and).astype(np.uint8) << channel
+    least = saturation_radiance(transfer, picture.bits)
     black = not any(plane.any() for plane in planes[:3])
     return 0, 0, int(some.sum()), black, least
 

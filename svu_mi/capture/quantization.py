@@ -8,8 +8,12 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.capture.image_io import Transfer, decoded
+from svu_mi.capture.tone_curve import SampledCurve, Transfer, decoded, linearize
 
+# Saturation threshold by bit depth, as a fraction of the encoded range; JPEG blurs highlights.
+SATURATED = {8: 0.98, 16: 0.995}
+SMALLEST = 1e-9  # quantisation step of a flat curve
+TYPICAL = 0.9  # quantile of all steps that is used as the typical one
 CURVE = 1.4 / 2.4  # sRGB steps are proportional to radiance^CURVE above its linear part
 
 
@@ -79,3 +83,30 @@ def variance(radiance: Any, first: Any, slope: Any) -> Any:
     """Return the variance of the rounding error, step^2 / 12, at a radiance."""
     step = dr.maximum(first, slope * dr.power(dr.maximum(radiance, 1e-20), CURVE))
     return step * step / 12
+
+
+def saturation_radiance(transfer: Transfer | SampledCurve, bits: int) -> float:
+    """Return the smallest linear value of a saturated channel of 8 or 16 bits."""
+    most = np.array(SATURATED[bits], np.float32)
+    return min(float(linearize(most, transfer, channel)) for channel in range(3))
+
+
+def quantization_steps(transfer: Transfer | SampledCurve, bits: int) -> tuple[float, float]:
+    """Return first step and slope of the quantisation of 8 or 16 bits (see ``Rounding``).
+
+    Both are the largest ones of all channels. Codes with equal values form one step; saturated
+    codes are ignored.
+    """
+    last = 2**bits - 1
+    if not isinstance(transfer, SampledCurve):
+        rounding = Rounding.of(bits, transfer)
+        return float(rounding.first[0]), float(rounding.slope[0])
+    codes = np.arange(int(SATURATED[bits] * last) + 1) / last
+    first, slope = SMALLEST, SMALLEST
+    for channel in range(3):
+        values = np.unique(linearize(codes, transfer, channel).astype(np.float64))
+        if len(values) > 1:
+            differences, middle = np.diff(values), (values[1:] + values[:-1]) / 2
+            first = max(first, float(differences[0]))
+            slope = max(slope, float(np.quantile(differences / middle**CURVE, TYPICAL)))
+    return first, slope

@@ -249,7 +249,7 @@ def _is_whole(path: Path, film: Size | None, run: str) -> bool:
         header = read_header(path)
         if header.size != film or header.attributes.get(RUN) != run:
             return False
-        read_pixels(path, header)
+        read_pixels(path, header.attributes)
     except CaptureError:
         return False
     return True

@@ -17,10 +17,10 @@ from svu_mi.calibration.exposure import equalized
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.content_hash import capture_key, photographs_key
 from svu_mi.capture.image_io import decoded, quantized, srgb
-from svu_mi.capture.importers.camera_response import CameraResponse, quantization_steps
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
-from svu_mi.capture.quantization import Rounding, variance
+from svu_mi.capture.quantization import Rounding, quantization_steps, variance
+from svu_mi.capture.tone_curve import SampledCurve
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.posterior.observations import observe
@@ -115,9 +115,7 @@ def test_steps_of_a_measured_curve_match_its_codes():
     codes = np.arange(256, dtype=np.float32) / 255
     curve = np.minimum(decoded(codes) / decoded(codes)[250], 1).astype(np.float64)
     curve[:3] = 0  # black up to code 2, white from code 250
-    response = CameraResponse(
-        name="curve", codes=codes, values=np.repeat(curve[:, None], 3, axis=1)
-    )
+    response = SampledCurve(name="curve", codes=codes, values=np.repeat(curve[:, None], 3, axis=1))
     first, slope = quantization_steps(response, 8)
     assert first == pytest.approx(curve[3], rel=1e-3)
     usual = Rounding.of(8)

@@ -11,7 +11,6 @@ from PIL import Image
 
 from support.photographs import copy_file
 from svu_mi.capture.image_io import quantized, read_planes
-from svu_mi.capture.importers.camera_response import linearize
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.objects_with_lighting import (
     ENVIRONMENT,
@@ -25,6 +24,7 @@ from svu_mi.capture.importers.resampling import with_size
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, Frame, Source
 from svu_mi.capture.photographs import IN_MASK, SATURATED
 from svu_mi.capture.sensors import affine
+from svu_mi.capture.tone_curve import linearize
 from svu_mi.core.io.files import prepare_folder, replacing
 from svu_mi.errors import OptionError
 

@@ -1,81 +1,24 @@
-"""Camera response curves: conversion of integer pixels to linear radiance."""
+"""Reader of measured response curves of cameras."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.image_io import Transfer, decoded
 from svu_mi.capture.importers.source_files import read_lines
-from svu_mi.capture.photographs import SATURATED
-from svu_mi.capture.quantization import CURVE, Rounding
+from svu_mi.capture.quantization import SATURATED
+from svu_mi.capture.tone_curve import SampledCurve
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
 from svu_mi.errors import CaptureError
 
-SMALLEST = 1e-9  # quantisation step of a flat curve
-TYPICAL = 0.9  # quantile of all steps that is used as the typical one
 LARGEST = (1, 255, 65535)  # valid codes of white
 SAMPLE = {"sample": Field(NUMBER, (Axis("numbers", 2, 4),), 0, np.finfo(float).max)}
 FIX = "write one line ENCODED LINEAR or ENCODED R G B for each sample of the curve"
 
 
-@dataclass(frozen=True, kw_only=True)
-class CameraResponse:
-    """Measured response curve, linear between samples.
-
-    Attributes:
-        name: name of its file, for messages.
-        codes: (N,) float32, encoded values relative to the largest, ascending from 0 to 1.
-        values: (N, 3) float64, linear values of R, G and B, ascending to 1.
-    """
-
-    name: str
-    codes: np.ndarray
-    values: np.ndarray
-
-    def __str__(self) -> str:
-        return f"in {self.name}"
-
-
-def linearize(encoded: np.ndarray, transfer: Transfer | CameraResponse, channel: int) -> np.ndarray:
-    """Return the linear values (float32) of encoded values in [0, 1] of one channel."""
-    if isinstance(transfer, CameraResponse):
-        values = transfer.values[:, channel]
-        return np.interp(encoded, transfer.codes, values).astype(np.float32)
-    return decoded(encoded, transfer)
-
-
-def saturation_radiance(transfer: Transfer | CameraResponse, bits: int) -> float:
-    """Return the smallest linear value of a saturated channel of 8 or 16 bits."""
-    most = np.array(SATURATED[bits], np.float32)
-    return min(float(linearize(most, transfer, channel)) for channel in range(3))
-
-
-def quantization_steps(transfer: Transfer | CameraResponse, bits: int) -> tuple[float, float]:
-    """Return first step and slope of the quantisation of 8 or 16 bits (see ``Rounding``).
-
-    Both are the largest ones of all channels. Codes with equal values form one step; saturated
-    codes are ignored.
-    """
-    last = 2**bits - 1
-    if not isinstance(transfer, CameraResponse):
-        rounding = Rounding.of(bits, transfer)
-        return float(rounding.first[0]), float(rounding.slope[0])
-    codes = np.arange(int(SATURATED[bits] * last) + 1) / last
-    first, slope = SMALLEST, SMALLEST
-    for channel in range(3):
-        values = np.unique(linearize(codes, transfer, channel).astype(np.float64))
-        if len(values) > 1:
-            differences, middle = np.diff(values), (values[1:] + values[:-1]) / 2
-            first = max(first, float(differences[0]))
-            slope = max(slope, float(np.quantile(differences / middle**CURVE, TYPICAL)))
-    return first, slope
-
-
-def read_response(path: Path) -> CameraResponse:
+def read_response(path: Path) -> SampledCurve:
     """Read a measured response curve.
 
     The text file has one line ``ENCODED LINEAR`` or ``ENCODED R G B`` per sample, separated by
@@ -111,7 +54,7 @@ def read_response(path: Path) -> CameraResponse:
             f"{path}: a channel is 0 up to {min(SATURATED.values()):.0%} of the largest code; add "
             "samples between black and white."
         )
-    return CameraResponse(name=path.name, codes=codes, values=values / values[-1])
+    return SampledCurve(name=path.name, codes=codes, values=values / values[-1])
 
 
 def _sample(text: str, before: list[list[float]]) -> list[float]:

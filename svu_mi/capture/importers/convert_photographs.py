@@ -12,14 +12,9 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture.crop import LARGE
+from svu_mi.capture.image_formats.color_space import to_linear_srgb
 from svu_mi.capture.image_io import ImageFile, open_image
-from svu_mi.capture.importers.camera_response import (
-    CameraResponse,
-    linearize,
-    quantization_steps,
-    read_response,
-    saturation_radiance,
-)
+from svu_mi.capture.importers.camera_response import read_response
 from svu_mi.capture.importers.resampling import average_area, undistort_planes
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.match_photographs import masks_of
@@ -29,21 +24,20 @@ from svu_mi.capture.photographs import (
     IN_MASK,
     LAST_STEP,
     ON_OBJECT,
-    SATURATED,
     SATURATION,
     UNUSABLE,
     read_mask,
 )
+from svu_mi.capture.quantization import SATURATED, quantization_steps, saturation_radiance
+from svu_mi.capture.tone_curve import SampledCurve, linearize
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import OptionError
 
-JPEG = (".jpg", ".jpeg")
 BORDER = 0.9  # share of border pixels in a mask, from which it counts as inverted
 CLIPPED_LAYER = "clipped."  # prefix of R, G or B
 # Share of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
 # includes 1 % of background; grooves and contact shadows are black in any photograph.
 CRUSHED = 0.02
-BLACK = np.zeros(1, np.float32)  # the code 0
 PART = 1e-6  # share of a resampled pixel that unusable ones may cover, for rounding
 
 
@@ -53,8 +47,9 @@ class ConvertedPhotograph:
 
     Attributes:
         bits: bits per channel: 8 or 16 for integers; 0 for floats.
-        foreign: True if the chromaticities differ from Rec. 709.
-        turned: True if the EXIF data set an orientation.
+        decoded: name of the curve that decodes integers.
+        color: name of the colour space that was converted to linear sRGB; empty if none was.
+        remarks: clauses about ignored properties.
         saturated: number of saturated pixels, only on the object if there is a mask.
         crushed: share of the object's pixels with a channel of code 0; 0 for floats, and without
             a mask, as the background may be black.
@@ -65,8 +60,9 @@ class ConvertedPhotograph:
     """
 
     bits: int
-    foreign: bool
-    turned: bool
+    decoded: str
+    color: str
+    remarks: tuple[str, ...]
     saturated: int
     crushed: float
     invalid: int
@@ -100,26 +96,39 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
         path: path of the EXR file.
         scale: scale of width and height, from ``square_pixel_frame``.
     """
-    picture = open_image(frame.image)
-    jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
+    picture = replace(open_image(frame.image), upright=frame.upright)
     plain = frame.lens is None and tuple(scale) == (1.0, 1.0) and frame.transfer == "srgb"
-    if jpeg and plain and math.prod(picture.size) >= LARGE:
+    plain &= picture.format == "JPEG" and picture.bits == 8 and picture.header.orientation == 1
+    if plain and math.prod(picture.size) >= LARGE:
         return _copy_jpeg(picture, frame, path)
-    planes, bits = picture.planes(), picture.bits
-    mask = _read_mask(frame, planes, bits > 0)
+    planes, bits, transfer = picture.stored(), picture.bits, picture.transfer(frame.transfer)
+    mask = _read_mask(frame, picture, planes)
     del planes[3:]
-    clipped, black, invalid = np.zeros((3, *planes[0].shape), bool)
+    clipped, black, unusable = np.zeros((3, *planes[0].shape), bool)
     over = {}
     for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
-        invalid |= ~(np.isfinite(plane) & (plane >= 0))
         if bits:
-            over[CLIPPED_LAYER + "RGB"[channel]] = plane > SATURATED[bits]
-            clipped |= plane > SATURATED[bits]
-            planes[channel] = linearize(plane, frame.transfer, channel)
-            black |= planes[channel] <= linearize(BLACK, frame.transfer, channel)
+            codes = picture.scaled(np.arange(2**bits, dtype=plane.dtype))
+            table, first = (
+                linearize(codes, transfer, channel),
+                int((codes <= SATURATED[bits]).sum()),
+            )
+            over[CLIPPED_LAYER + "RGB"[channel]] = plane >= first
+            clipped |= plane >= first
+            planes[channel] = table[plane]
+            black |= planes[channel] <= table[0]
+        else:
+            unusable |= ~(np.isfinite(plane) & (plane >= 0))
+    invalid = int(unusable.sum())
+    if bits and picture.header.color.matrix is not None:
+        # Sums of saturated and other channels have no bound.
+        planes = to_linear_srgb(planes, picture.header.color.matrix)
+        whole = np.logical_and.reduce(list(over.values()))
+        unusable |= clipped & ~whole
+        over = {name: whole for name in over}
     for plane in planes:
-        plane[invalid] = 0
-    layers = {**dict(zip("RGB", planes, strict=True)), "bad": invalid}
+        plane[unusable] = 0
+    layers = {**dict(zip("RGB", planes, strict=True)), "bad": unusable}
     if clipped.any():
         layers |= over
     if mask is not None:
@@ -127,14 +136,14 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
         clipped &= mask
     del planes, over
     channels = _resample(layers, frame, scale)
-    header = _mark_unusable(channels, bits, frame)
+    header = _mark_unusable(channels, saturation_radiance(transfer, bits) if bits else None)
     if bits:
-        first, last = quantization_steps(frame.transfer, bits)
-        header |= {FIRST_STEP: first, LAST_STEP: last}
+        first_step, last_step = quantization_steps(transfer, bits)
+        header |= {FIRST_STEP: first_step, LAST_STEP: last_step}
     # Half floats represent all 8-bit codes, unless a response curve puts some close together.
-    half = bits == 8 and not isinstance(frame.transfer, CameraResponse)
+    half = bits == 8 and not isinstance(transfer, SampledCurve)
     write_exr(path, channels, header, half=half)
-    return _describe(picture, mask, clipped, black, int(invalid.sum()))
+    return _describe(picture, frame, mask, clipped, black, invalid)
 
 
 def _copy_jpeg(picture: ImageFile, frame: Frame, path: Path) -> ConvertedPhotograph:
@@ -149,11 +158,12 @@ def _copy_jpeg(picture: ImageFile, frame: Frame, path: Path) -> ConvertedPhotogr
         clipped &= mask
         beside = path.with_name(f"{masks_of(path.stem)[0]}.png")
         Image.fromarray(mask.astype(np.uint8) * 255).save(beside)
-    return _describe(picture, mask, clipped, black, 0)
+    return _describe(picture, frame, mask, clipped, black, 0)
 
 
 def _describe(
     picture: ImageFile,
+    frame: Frame,
     mask: np.ndarray | None,
     clipped: np.ndarray,
     black: np.ndarray,
@@ -161,7 +171,8 @@ def _describe(
 ) -> ConvertedPhotograph:
     """Return the properties; ``clipped`` and ``black`` (H, W) mark saturated and black pixels."""
     return ConvertedPhotograph(
-        bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
+        bits=picture.bits, decoded=str(picture.transfer(frame.transfer)),
+        color=picture.header.color.name, remarks=tuple(picture.remarks()),
         saturated=int(clipped.sum()),
         crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
         invalid=invalid, masked=mask is not None, empty=mask is not None and not mask.any(),
@@ -169,7 +180,7 @@ def _describe(
     )  # fmt: skip
 
 
-def _mark_unusable(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
+def _mark_unusable(channels: dict[str, np.ndarray], least: float | None) -> dict[str, float]:
     """Mark unusable pixels and saturated channels in place; return entries for the header."""
     touched = channels.pop("bad") > PART
     over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
@@ -180,9 +191,7 @@ def _mark_unusable(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> 
         if name in parts:
             channels[name][parts[name] >= 1 - PART] = CLIPPED
         channels[name][touched] = UNUSABLE
-    if not parts:
-        return {}
-    return {SATURATION: saturation_radiance(frame.transfer, bits)}
+    return {SATURATION: least} if parts and least is not None else {}
 
 
 def _is_inverted(mask: np.ndarray) -> bool:
@@ -202,11 +211,12 @@ def _resample(
     }
 
 
-def _read_mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
+def _read_mask(frame: Frame, picture: ImageFile, planes: Sequence[np.ndarray]) -> np.ndarray | None:
     """Return the mask (H, W) from the alpha channel, a file, or both; None without any."""
     opaque = None
-    if len(planes) > 3 and planes[3].min() < 1:
-        opaque = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
+    if len(planes) > 3:
+        alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
+        opaque = alpha >= (IN_MASK if picture.bits else ON_OBJECT) if alpha.min() < 1 else None
     if frame.mask is None:
         return opaque
     inside = read_mask(frame.mask, planes[0].shape)
@@ -225,22 +235,22 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     clipped, invalid = (sum(getattr(c, name) for c in views) for name in ("saturated", "invalid"))
     dark = [c.crushed for c in views if c.crushed > CRUSHED]
     kinds = " and ".join(map(str, sorted(low)))
+    curves = " and ".join(sorted({c.decoded for c in views if c.bits}))
+    colors = dict.fromkeys(c.color for c in views if c.color)
+    remarks = dict.fromkeys(remark for c in views for remark in c.remarks)
     return [
         *note([c.bits > 0 for c in views],
-              f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}. {clipped} saturated "
+              f"are not HDR: of {kinds} bits, decoded as {curves}. {clipped} saturated "
               "pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."),
         *note([c.crushed > CRUSHED for c in views],
               f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
               "have a channel of 0): darker radiance is lost; expose longer or use HDR."),
-        *note([c.turned for c in views],
-              "are stored rotated; their EXIF orientation is ignored, because poses refer to the "
-              "pixels as stored. If svu check shows them rotated, save their pixels upright and "
-              "import again."),
         *note([f.lens is not None for f in frames],
               "are undistorted; the focal length is kept, and empty borders are cropped."),
-        *note([c.foreign for c in views],
-              "have chromaticities that differ from Rec. 709; their values are not converted: "
-              "convert them if colours matter."),
+        *(line for name in colors for line in note([c.color == name for c in views],
+              f"are converted to linear sRGB from {name}; colours outside of sRGB are cut off.")),
+        *(line.replace(", have: ", ": ") for remark in remarks for line in note(
+              [remark in c.remarks for c in views], f"have: {remark}")),
         *note([c.invalid > 0 for c in views],
               f"have {invalid} pixels that are NaN, infinite or negative; these are ignored."),
         *note([c.empty for c in views], "have an empty mask and are not used."),

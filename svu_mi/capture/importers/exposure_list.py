@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from PIL import Image
 
+from svu_mi.capture.image_formats.heif_images import required
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.importers.source_files import read_lines
 from svu_mi.core.io.files import refusing
@@ -106,8 +109,7 @@ def _exif_gain(path: Path) -> tuple[float, bool]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # relevant damage raises an error
-            with Image.open(path) as image:
-                tags = image.getexif().get_ifd(EXIF)
+            tags = _exposure_tags(path)
         time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 0))
         speed = tags.get(ISO, 100)
         speed = float(speed[0] if isinstance(speed, tuple) else speed)
@@ -118,3 +120,21 @@ def _exif_gain(path: Path) -> tuple[float, bool]:
             f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
         ) from error
     return gain, aperture > 0
+
+
+def _exposure_tags(path: Path) -> Mapping[int, Any]:
+    """Return exposure time, aperture and sensitivity of a photograph by EXIF tag."""
+    picture = open_image(path)
+    if picture.format == "EXR":
+        given = picture.header.attributes
+        names = {TIME: "expTime", APERTURE: "aperture", ISO: "isoSpeed"}
+        return {tag: given[name] for tag, name in names.items() if name in given}
+    if picture.format == "RAW":
+        shot = required("rawpy", path).imread(str(path)).other
+        return {TIME: shot.shutter_speed, APERTURE: shot.aperture, ISO: shot.iso_speed}
+    if picture.format == "HEIC":
+        image = required("pillow_heif", path).open_heif(path).to_pillow()
+    else:
+        image = Image.open(path)
+    with image:
+        return image.getexif().get_ifd(EXIF)

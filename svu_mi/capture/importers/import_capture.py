@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture import capture_folder, scene_xml
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
-from svu_mi.capture.image_io import open_image
+from svu_mi.capture.image_io import ImageFile, open_image
 from svu_mi.capture.importers.axis_fixes import (
     FIXES,
     AxisFix,
@@ -234,19 +234,31 @@ def _prepare_frames(
     if not there:
         raise CaptureError(f"{source.root}: has no photographs.")
     frames = []
-    for frame in with_response(there, options.response):
+    given = with_response(there, options.response)
+    for frame, picture in zip(given, _fitted_pictures(given), strict=True):
         poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":
                 poses = correct_poses(poses, fix, source.camera_axes)
-        picture = open_image(frame.image)
         if picture.header.cropped:
             raise CaptureError(
                 f"{frame.image}: its data window differs from its display window, so its pixels "
                 "do not match the camera; save it again without crop or overscan."
             )
-        frames.append(with_size(replace(frame, to_world=poses[0]), picture.size))
+        frame = replace(frame, to_world=poses[0], upright=picture.upright)
+        frames.append(with_size(frame, picture.size))
     return frames
+
+
+def _fitted_pictures(frames: Sequence[Frame]) -> list[ImageFile]:
+    """Return all pictures as stored if one fits its camera only so, else upright.
+
+    Programs either follow all EXIF orientations or none.
+    """
+    pictures = [open_image(frame.image) for frame in frames]
+    fitted = [p.fitted(frame.size) for p, frame in zip(pictures, frames, strict=True)]
+    upright = all(picture.upright for picture in fitted)
+    return [replace(picture, upright=upright) for picture in pictures]
 
 
 def _clip_planes(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 from PIL import Image, UnidentifiedImageError
 
+from svu_mi.capture.image_formats.recognition import SUFFIXES as IMAGE_SUFFIXES
 from svu_mi.capture.importers.mesh_materials import (
     FREE,
     GLTF,
@@ -23,6 +24,7 @@ from svu_mi.capture.importers.mesh_materials import (
     ignored_in_obj,
     is_textured,
     load_pictures,
+    png_of,
     textures_of,
 )
 from svu_mi.capture.importers.repair_normals import repair_normals
@@ -32,6 +34,7 @@ from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
+CONVERTED = set(IMAGE_SUFFIXES) - set(PICTURES)
 # As in Mitsuba's plugin, unless a comment names a texture, as in files of MeshLab and scanners.
 # trimesh returns V upwards for other formats.
 V_DOWN = (".ply",)
@@ -241,6 +244,8 @@ class _FolderResolver(trimesh.resolvers.Resolver):
             if path.suffix.lower() in PICTURES:
                 with Image.open(path):
                     pass  # checks the header; the pixels are decoded later
+            if path.suffix.lower() in CONVERTED:
+                return png_of(path)  # trimesh would ignore it
             return path.read_bytes()
         except (CaptureError, UnidentifiedImageError, Image.DecompressionBombError) as error:
             self.refused.append(str(error))

@@ -7,6 +7,7 @@ https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +19,7 @@ import numpy as np
 from PIL import Image
 from trimesh.visual.material import empty_material
 
-from svu_mi.capture.image_io import decoded, quantized, srgb
+from svu_mi.capture.image_io import decoded, open_image, quantized, srgb
 from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.schema import ITEMS, WHOLE, Field, checked
@@ -106,6 +107,14 @@ def load_pictures(visual: Any) -> None:
         if picture.width * picture.height > MAX_PIXELS:
             raise ValueError(f"a texture of {picture.width} x {picture.height} pixels is too large")
         picture.load()
+
+
+def png_of(path: Path) -> bytes:
+    """Convert a picture, such as an EXR, to a PNG of 8 bits in sRGB; values above 1 become 1."""
+    linear = np.stack(open_image(path).linear(), axis=-1)
+    stream = io.BytesIO()
+    Image.fromarray(quantized(srgb(np.clip(np.nan_to_num(linear), 0, 1)))).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def write_pictures(textures: Textures, folder: Path) -> None:

@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.image_io import Transfer
-from svu_mi.capture.importers.camera_response import CameraResponse
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
 from svu_mi.capture.importers.import_options import Light as Light
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, film_size, focal_length, make_sensor, principal_point
+from svu_mi.capture.tone_curve import SampledCurve, Transfer
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
 from svu_mi.errors import CaptureError
@@ -67,6 +66,8 @@ class Frame:
         exposure: exposure gain; the radiance of a pixel is its linear value divided by the gain.
         transfer: encoding of integer images; EXR, HDR and PFM are linear.
         lens: lens distortion; None without distortion.
+        upright: True if pose and size refer to the photograph as its EXIF orientation turns it,
+            False if they refer to the pixels as stored.
     """
 
     label: str
@@ -77,8 +78,9 @@ class Frame:
     center: tuple[float, float]
     size: tuple[int, int]
     exposure: float = 1.0
-    transfer: Transfer | CameraResponse = "srgb"
+    transfer: Transfer | SampledCurve = "srgb"
     lens: Lens | None = None
+    upright: bool = True
 
     def __post_init__(self) -> None:
         """Raise CaptureError if numbers are out of range or the pose is not rigid."""

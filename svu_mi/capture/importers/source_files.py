@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from svu_mi.capture.image_io import SUFFIXES
+from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
 from svu_mi.core.identifiers import fits_file_name
 from svu_mi.core.io.files import refusing
 from svu_mi.errors import CaptureError, excerpt
@@ -86,7 +86,8 @@ def list_pictures(folder: Path) -> list[Path]:
     with refusing(folder, "change its permissions"):
         files = sorted(folder.iterdir())
     known = [file for file in files if file.suffix.lower() in SUFFIXES]
-    return [file for file in known if not file.name.startswith(".") and file.is_file()]
+    known = [file for file in known if not file.name.startswith(".") and file.is_file()]
+    return without_raw_doubles(known)
 
 
 def find_mask(folder: Path, name: Path) -> Path | None:

@@ -28,7 +28,6 @@ MAX_CHANNELS = 1024  # per part; Blender with all passes writes about 100
 READ_BYTES = 8  # per value: as stored, and as float32
 DEEP = (OpenEXR.deepscanline, OpenEXR.deeptile)
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
-SAME = 5e-3  # tolerance of chromaticities, for rounding
 
 
 def write_exr(
@@ -82,13 +81,13 @@ class Header:
     Attributes:
         size: (width, height) of the data window, the stored pixels.
         cropped: True if the data window differs from the display window.
-        foreign: True if the chromaticities differ from Rec. 709.
+        chromaticities: x, y of red, green, blue and white; those of Rec. 709 by default.
         attributes: entries of the header, text or numbers, by name.
     """
 
     size: tuple[int, int]
     cropped: bool = False
-    foreign: bool = False
+    chromaticities: tuple[float, ...] = REC_709
     attributes: Mapping[str, str | int | float] = field(default_factory=dict)
 
 
@@ -109,14 +108,13 @@ def read_header(path: str | Path) -> Header:
         sizes = [(int(w), int(h)) for w, h in (high - low + 1 for low, high in windows)]
         counts = [len(part["channels"]) for part in parts]
         colors = np.array(first.get("chromaticities", REC_709), np.float64)
-        foreign = not np.allclose(colors.ravel(), REC_709, atol=SAME)
         cropped = not np.array_equal(windows[0], first["displayWindow"])
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     if any(part.get("type") in DEEP for part in parts):
         raise CaptureError(f"{path}: a deep EXR file; export it as a flat image.")
     _check_sizes(path, sizes, counts)
-    return Header(sizes[0], cropped, foreign, _plain(first))
+    return Header(sizes[0], cropped, tuple(map(float, colors.ravel())), _plain(first))
 
 
 def _check_sizes(path: Path, sizes: Sequence[tuple[int, int]], counts: Sequence[int]) -> None:
@@ -149,17 +147,17 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
     Raises:
         CaptureError: an error of ``read_header``, or damaged or subsampled pixels.
     """
-    return read_pixels(Path(path), read_header(path))
+    return read_pixels(Path(path), read_header(path).attributes)
 
 
-def read_pixels(path: Path, header: Header) -> dict[str, np.ndarray]:
-    """Read the first part of an EXR with a given header (see ``read_exr``).
+def read_pixels(path: Path, given: Mapping[str, str | int | float]) -> dict[str, np.ndarray]:
+    """Read the first part of an EXR whose header has the given attributes (see ``read_exr``).
 
     Raises:
         CaptureError: an error of ``read_exr``, or a file that changed after its header was read.
     """
     channels, attributes = _read_channels(path)
-    if repr(attributes) != repr(header.attributes):  # repr, because NaN != NaN
+    if repr(attributes) != repr(given):  # repr, because NaN != NaN
         raise CaptureError(f"{path}: changed while it was being read; read it again.")
     return {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
 

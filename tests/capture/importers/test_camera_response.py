@@ -15,7 +15,7 @@ from support.helpers import ball, fails, run
 import svu_mi as svu
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.image_io import open_image, srgb
-from svu_mi.capture.importers.camera_response import LARGEST, linearize, read_response
+from svu_mi.capture.importers.camera_response import LARGEST, read_response
 from svu_mi.capture.importers.convert_photographs import (
     CRUSHED,
     convert_photograph,
@@ -27,6 +27,7 @@ from svu_mi.capture.importers.source import OPENGL, Frame
 from svu_mi.capture.mesh import write_ply
 from svu_mi.capture.photographs import CLIPPED, SATURATED, SATURATION
 from svu_mi.capture.sensors import affine
+from svu_mi.capture.tone_curve import linearize
 from svu_mi.cli.import_ import reimport_command
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture.image_io import quantized, read_planes
+from svu_mi.capture.image_io import open_image, quantized
 from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, read_project
 from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, read_model, write_model
 from svu_mi.capture.importers.resampling import undistorted_frame
@@ -90,7 +90,7 @@ def _read_mask(camera: ColmapCamera, file: Path, mask: Path | None) -> np.ndarra
         raise CaptureError(
             f"{file}: COLMAP undistorts only {', '.join(KINDS)}; undistort the photographs first."
         )
-    planes, _ = read_planes(file)
+    planes = replace(open_image(file), upright=False).planes()  # as COLMAP reads it
     given = planes[3] if planes[3:] else None
     height, width = planes[0].shape
     if (width, height) != (camera.width, camera.height):

@@ -1,0 +1,1 @@
+"""Readers of image formats: header, colour space and stored pixels."""
