@@ -123,7 +123,7 @@ def open_image(path: Path) -> ImageFile:
     if path.suffix.lower() not in SUFFIXES:
         raise CaptureError(f"{path}: not a supported image format ({', '.join(SUFFIXES)}).")
     with _readable(path):
-        name = format_of(path)
+        name = format_of(path) or ("EXR" if path.suffix.lower() == ".exr" else None)
         if name is None:
             raise ValueError("unknown content")
         header = FORMATS[name].open(path)

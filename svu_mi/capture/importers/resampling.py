@@ -36,8 +36,7 @@ def with_size(frame: Frame, size: tuple[int, int]) -> Frame:
         )
         if abs(width * made_width / height - made_height) <= SAME_ASPECT:
             raise CaptureError(
-                f"{differ}: the photograph is stored on its side; save its pixels upright (its "
-                "EXIF orientation may be set)."
+                f"{differ}: the photograph is stored on its side; save its pixels upright."
             )
         raise CaptureError(
             f"{differ}, which has another aspect ratio; give the photograph that was calibrated."

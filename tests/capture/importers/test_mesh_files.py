@@ -722,10 +722,14 @@ def test_a_photograph_that_is_stored_on_its_side(source, tmp_path):
     Image.new("RGB", (8, 6)).save(source.root / "0.jpg", exif=exif)
     frame = replace(source.frames[0], image=source.root / "0.jpg")
     notes = import_capture(replace(source, frames=[frame]), tmp_path / "capture")
-    assert any("0.jpg first, are stored rotated" in note for note in notes)
-    frame = replace(frame, size=(6, 8))
+    assert any("0.jpg first: not turned, although EXIF data" in note for note in notes)
+    notes = import_capture(
+        replace(source, frames=[replace(frame, size=(6, 8))]), tmp_path / "capture"
+    )
+    assert any("0.jpg first: turned as the EXIF orientation" in note for note in notes)
+    Image.new("RGB", (8, 6)).save(source.root / "0.jpg")
     with pytest.raises(CaptureError, match="0.jpg.*stored on its side"):
-        import_capture(replace(source, frames=[frame]), tmp_path / "capture")
+        import_capture(replace(source, frames=[replace(frame, size=(6, 8))]), tmp_path / "capture")
 
 
 def test_an_exr_that_is_a_crop_of_its_photograph(source, tmp_path):
