@@ -9,7 +9,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.image_io import PNG, quantized, srgb
+from svu_mi.capture.image_formats.png_images import SIGNATURE
+from svu_mi.capture.tone_curve import quantized, srgb
 
 BYTES = (".jpg", ".jpeg", ".bmp", ".tga")  # formats of 8 bits per channel
 DEPTH = 24  # position of the bit depth in a PNG file
@@ -61,4 +62,4 @@ def _is_bytes(texture: Any) -> bool:
         return False
     with path.open("rb") as file:
         start = file.read(DEPTH + 1)
-    return start.startswith(PNG) and start[DEPTH:] <= b"\x08"
+    return start.startswith(SIGNATURE) and start[DEPTH:] <= b"\x08"
