@@ -1,4 +1,4 @@
-"""Suppression of the error messages that OpenEXR prints on stderr and ``sys.stdout``."""
+"""Suppression of the error messages that OpenEXR and LibRaw print on stderr and ``sys.stdout``."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import tempfile
 import threading
 from typing import Any
 
-OPENEXR = b"(EXR_ERR_"  # in each line that OpenEXR prints
+# In the lines that OpenEXR and LibRaw print.
+PRINTED = (b"(EXR_ERR_", b": Unexpected end of file", b": data corrupted at")
 
 
 class Quiet:
-    """Context that suppresses OpenEXR's messages while a thread reads or writes.
+    """Context that suppresses these messages while a thread reads or writes.
 
     On stdout, threads outside of the context print as usual. On stderr, all output is buffered
-    until the last thread leaves; then all but OpenEXR's lines are printed. A crash loses them.
+    until the last thread leaves; then all but these lines are printed. A crash loses them.
     """
 
     def __init__(self) -> None:
@@ -53,7 +54,7 @@ class Quiet:
             held.seek(0)
             lines = held.read().splitlines(keepends=True)
             with contextlib.suppress(OSError):
-                os.write(2, b"".join(line for line in lines if OPENEXR not in line))
+                os.write(2, b"".join(line for line in lines if not any(p in line for p in PRINTED)))
 
         self._undo.callback(release)
 

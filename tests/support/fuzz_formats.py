@@ -17,9 +17,11 @@ from unittest import mock
 import mitsuba as mi
 import numpy as np
 import OpenEXR
+import pillow_heif
 import trimesh
 from PIL import Image
 
+from support import image_files
 from support.colmap import write_colmap
 from support.helpers import ball, sensor_xml, write_scene
 from support.owl import write_owl
@@ -212,6 +214,24 @@ def _floats(folder: Path, name: str) -> None:
     mi.Bitmap(_pixels()).write(str(folder / name))
 
 
+def _other_image(folder: Path, suffix: str) -> None:
+    """Write a picture with an ICC profile in a format of 8, 16 or float channels."""
+    profile, path = image_files.icc(image_files.P3, image_files.SRGB_PARA), folder / suffix
+    codes = image_files.codes(_pixels(), 8)
+    if suffix == "picture.dng":
+        image_files.dng(path, np.kron(_pixels(), np.ones((4, 4, 1))))
+    elif suffix == "picture.heic":
+        pillow_heif.from_pillow(Image.fromarray(codes)).save(path)
+    elif suffix in ("picture.webp", "picture.avif"):
+        Image.fromarray(codes).save(path, icc_profile=profile)
+    elif suffix == "picture.tif":
+        image_files.with_oiio(path, image_files.codes(_pixels()), profile=profile)
+    elif suffix == "picture.png":
+        image_files.png(path, codes, iCCP=image_files.iccp(profile))
+    else:
+        image_files.with_oiio(path, _pixels(), profile=None)
+
+
 def write_mesh(folder: Path, name: str, *, painted: bool = False, **options: object) -> None:
     made = trimesh.creation.box()
     if painted:
@@ -369,6 +389,9 @@ def _all_formats() -> Iterator[Format]:
     for progressive in (False, True):
         make = partial(write_integers, name="picture.jpg", mode="RGB", progressive=progressive)
         yield Format(name=f"jpeg-{progressive}".lower(), make=make, read=picture)
+    for suffix in ("png", "tif", "webp", "jxl", "avif", "heic", "dng"):
+        make = partial(_other_image, suffix=f"picture.{suffix}")
+        yield Format(name=f"profile-{suffix}", make=make, read=picture, share=2)
     for suffix in ("glb", "gltf", "obj"):
         make = partial(write_mesh, name=f"mesh.{suffix}", painted=True)
         yield Format(name=suffix, make=make, read=mesh)

@@ -224,6 +224,7 @@ BY_SUFFIX: dict[str, tuple[Callable[[bytes, random.Random], bytes], ...]] = {
     ".json": (retyped, retyped, retyped, retyped, *TEXT), ".gltf": (retyped, retyped, *TEXT),
     ".png": (*BINARY, rebuilt_png, rebuilt_png), ".glb": (*BINARY, rebuilt_glb, rebuilt_glb),
     ".exr": (*BINARY, resized_exr), ".jpg": (*BINARY, resized_jpeg), ".bin": BINARY,
+    **dict.fromkeys((".tif", ".webp", ".jxl", ".avif", ".heic", ".dng"), BINARY),
     ".hdr": (*BINARY, spelled), ".pfm": (*BINARY, spelled), ".stl": (*BINARY, spelled),
     ".ply": (*BINARY, spelled, worded, lined),
     ".xml": (pointed, pointed, pointed, pointed, pointed, *TEXT),

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib
 import struct
-import threading
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +12,12 @@ from PIL import Image
 
 from svu_mi.capture.image_formats.color_space import ColorSpace, from_cicp
 from svu_mi.capture.image_formats.icc_profile import not_followed, read_profile
-from svu_mi.capture.image_formats.image_header import ImageHeader
+from svu_mi.capture.image_formats.image_header import ImageHeader, without_warnings
 from svu_mi.errors import CaptureError
 
 HEADER = 2**16  # bytes at the start that contain the properties
 ORIENTATION = 0x0112  # EXIF tag
 MISSING = "is read by the package {0}; install it with: pip install 'svu_mi[camera]'"
-
-_opening = threading.Lock()  # warnings.catch_warnings is not thread-safe
 
 
 def open_avif(path: Path) -> ImageHeader:
@@ -76,8 +72,7 @@ def _header(
 
 
 def _avif(path: Path) -> Any:
-    with _opening, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about damaged EXIF data
+    with without_warnings():
         return Image.open(path, formats=["AVIF"])
 
 

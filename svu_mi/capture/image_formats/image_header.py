@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import threading
+import warnings
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +14,16 @@ from svu_mi.core.io.files import may_hold
 from svu_mi.errors import CaptureError
 
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may contain any number
+
+_silent = threading.Lock()  # warnings.catch_warnings is not thread-safe
+
+
+@contextlib.contextmanager
+def without_warnings() -> Iterator[None]:
+    """Suppress Pillow's warnings about damaged metadata."""
+    with _silent, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from svu_mi.capture.image_formats.color_space import (
     gamma_curve,
 )
 from svu_mi.capture.image_formats.icc_profile import not_followed, read_profile
-from svu_mi.capture.image_formats.image_header import ImageHeader
+from svu_mi.capture.image_formats.image_header import ImageHeader, without_warnings
 from svu_mi.errors import CaptureError
 
 HEADER = 4096  # bytes; the text of an HDR header must be shorter
@@ -122,7 +122,7 @@ def _color_space(path: Path, spec: Any, bits: int) -> ColorSpace:
             given = [float(value) for tag in (CHROMATICITIES, WHITE_POINT) for value in tags[tag]]
             return from_chromaticities(given, "srgb" if bits else "linear")
     elif spec.get_int_attribute("Exif:ColorSpace", 1) in UNCALIBRATED:
-        with Image.open(path) as image:
+        with without_warnings(), Image.open(path) as image:
             named = image.getexif().get_ifd(INTEROPERABILITY).get(1)
         if named == ADOBE_RGB:
             curve = gamma_curve(563 / 256)
@@ -132,7 +132,7 @@ def _color_space(path: Path, spec: Any, bits: int) -> ColorSpace:
 
 def _tiff_tags(path: Path) -> Any:
     """Return the tags of the first page; OpenImageIO omits some."""
-    with path.open("rb") as stream:
+    with path.open("rb") as stream, without_warnings():
         tags = TiffImagePlugin.ImageFileDirectory_v2(stream.read(8))
         stream.seek(tags.next)
         tags.load(stream)

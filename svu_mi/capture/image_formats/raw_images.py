@@ -10,6 +10,7 @@ import numpy as np
 from svu_mi.capture.image_formats.color_space import REC_709, ColorSpace, rgb_to_xyz
 from svu_mi.capture.image_formats.heif_images import required
 from svu_mi.capture.image_formats.image_header import ImageHeader, require_plausible
+from svu_mi.core.silence_openexr import quiet
 
 ORIENTATION = {0: 1, 3: 3, 5: 8, 6: 6}  # EXIF orientation by LibRaw's flip
 NO_MATRIX = "LibRaw has no colour matrix of this camera; colours are not converted."
@@ -18,7 +19,7 @@ NO_MATRIX = "LibRaw has no colour matrix of this camera; colours are not convert
 def open_raw(path: Path) -> ImageHeader:
     """Read the header of a RAW photograph."""
     rawpy = required("rawpy", path)
-    with rawpy.RawPy() as raw:
+    with quiet, rawpy.RawPy() as raw:
         raw.open_file(str(path))
         sizes = raw.sizes
         require_plausible(path, (sizes.raw_width, sizes.raw_height), 2)
@@ -37,7 +38,7 @@ def read_raw(path: Path, _: ImageHeader) -> np.ndarray:
     of a camera, because their light is estimated, not removed.
     """
     rawpy = required("rawpy", path)
-    with rawpy.RawPy() as raw:
+    with quiet, rawpy.RawPy() as raw:
         raw.open_file(str(path))
         raw.unpack()
         return raw.postprocess(

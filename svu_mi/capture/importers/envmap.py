@@ -71,7 +71,7 @@ def _with_pole_rows(pixels: np.ndarray) -> np.ndarray:
     """Resample (H, W, 3) pixels linearly to rows that begin and end at the poles."""
     between = np.empty((len(pixels) + 1, *pixels.shape[1:]), np.float32)
     between[1:-1] = (pixels[1:] + pixels[:-1]) / 2
-    between[0], between[-1] = pixels[0].mean(axis=0), pixels[-1].mean(axis=0)
+    between[0], between[-1] = (row.mean(axis=0, dtype=np.float64) for row in pixels[[0, -1]])
     if len(pixels) > FINE:
         return between
     rows = np.empty((2 * len(pixels) + 1, *pixels.shape[1:]), np.float32)
