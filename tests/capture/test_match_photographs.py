@@ -78,10 +78,8 @@ def test_a_missing_light_is_no_photograph(nerf, capsys):
 
 
 @pytest.mark.parametrize(("place", "files", "instead"), [
-    ("raw", [f"IMG_{k}.CR2" for k in range(8)], "the folder has no image in a supported format "
-     "(8 .CR2: develop them to linear EXR first)"),
-    ("raw", ["IMG_0.heic"], "the folder has no image in a supported format "
-     "(1 .heic: convert them to EXR, or to PNG first)"),
+    ("raw", [f"IMG_{k}.BMP" for k in range(8)], "the folder has no image in a supported format "
+     "(8 .BMP: convert them to EXR, or to PNG, first)"),
     ("raw", [], "the folder has no image: give the folder of the photographs with --images"),
     (".", ["IMG_1.exr"], "no image there has such a name: put the photographs into a separate "
      "folder and give it with --images"),  # where textures may lie, too
