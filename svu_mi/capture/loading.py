@@ -240,7 +240,7 @@ class CapturePlan:
             images=tuple(photograph.pixels for photograph in photographs),
             masks=tuple(photograph.mask for photograph in photographs),
             exposures=tuple(self.exposures), 
-            exposures_known=bool(self.description.exposures or self.description.rendered),
+            exposures_known=bool(self.description.exposures) or not self.description.imported,
             names=tuple(names), files=tuple(self.match.names),
             unusable=tuple(p.invalid + p.marked + p.saturated for p in photographs),
             used=used, source=self.folder, warnings=tuple(notes),

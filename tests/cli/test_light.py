@@ -180,7 +180,8 @@ def test_exposures_that_nobody_recorded_are_estimated_if_they_differ(dark, monke
     assert asked == [False]
     shutil.rmtree(dark / "light")
 
-    (dark / "capture.json").write_text(json.dumps({**record, "exposure": []}))
+    imported = {**record, "exposure": [], "import": {"format": "colmap"}}
+    (dark / "capture.json").write_text(json.dumps(imported))
     capture = svu.load_capture(dark, light="optional")
     for attempt in range(2):
         progress = Said()

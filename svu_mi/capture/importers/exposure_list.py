@@ -33,7 +33,8 @@ def with_gains(
     Args:
         frames: frames with the gains of the source.
         gains: ``exif``, ``none`` (1 for all), ``estimate`` (unknown), or a file. None keeps gains
-            of the source if there are any, and uses EXIF if all photographs have it.
+            of the source if there are any, and uses EXIF if all photographs have it; without it,
+            gains are 1, and known if all photographs are EXR, HDR or PFM.
     """
     if gains is None and any(frame.exposure != 1 for frame in frames):
         return frames, True, []
@@ -46,7 +47,8 @@ def with_gains(
     except CaptureError:
         if gains is not None:
             raise
-        return frames, False, []
+        are_radiance = not any(open_image(frame.image).bits for frame in frames)
+        return frames, are_radiance, []
     each = [frame.exposure for frame in frames]
     ratio = max(each) / min(each)
     if ratio < EQUAL:

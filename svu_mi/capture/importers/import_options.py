@@ -76,7 +76,8 @@ class ImportOptions:
     exposures: str | Path | None = None
     """Exposure gains, positive factors of radiance: a text file with lines NAME GAIN; exif; none
     (all are equal); estimate (unknown: commands estimate them together with the light). Default:
-    gains of the source, else EXIF if all photographs have it, else estimate."""
+    gains of the source, else EXIF if all photographs have it, else none for EXR, HDR and PFM
+    and estimate for other files."""
     response: str | Path | None = None
     """Measured response curve of PNG and JPEG, if not sRGB: a text file with lines ENCODED LINEAR
     or ENCODED R G B (default: the curve of the source, else sRGB)."""

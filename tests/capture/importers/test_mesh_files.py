@@ -671,6 +671,8 @@ def test_exif_is_used_if_all_photographs_have_it(source, tmp_path):
         capture = svu.load_capture(tmp_path / gains)
         assert capture.exposures == (1.0, 1.0) and capture.exposures_known == known
         assert not any("EXIF" in note for note in notes)
+    radiance = [replace(frame, exposure=1.0) for frame in source.frames]  # EXR
+    assert loaded(replace(source, frames=radiance), tmp_path / "radiance").exposures_known
     recorded = [replace(frame, exposure=2.0) for frame in unlike.frames]
     assert loaded(replace(unlike, frames=recorded), tmp_path / "own").exposures == (2.0, 2.0)
 
