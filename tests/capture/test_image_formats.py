@@ -346,6 +346,24 @@ def test_profiles_follow_their_numbers(name, primaries, curve, encode, tmp_path)
     np.testing.assert_allclose(linear(file), BLOCKS, rtol=0.03, atol=4e-3)
 
 
+def test_channels_may_have_curves_of_their_own_and_grey_one(tmp_path):
+    powers = np.array([461, 563, 461]) / 256
+    profile = icc(SRGB, curv(461), gTRC=curv(563))
+    follows(png(tmp_path / "a.png", codes(LINEAR ** (1 / powers)), iCCP=iccp(profile)))
+    grey = icc(SRGB, curv(461), kTRC=curv(461)).replace(b"mntrRGB ", b"mntrGRAY")
+    path = png(tmp_path / "b.png", codes(LINEAR[..., 0] ** (256 / 461)), iCCP=iccp(grey))
+    follows(path, LINEAR[..., :1] * np.ones(3))
+
+
+@pytest.mark.parametrize("damage", [
+    {"rTRC": curv(3, 2, 1)}, {"gTRC": b"para\0\0\0\0\0\x09\0\0"}, {"bXYZ": bytes(20)},
+    {"rTRC": para(0, -1.0)}, {"rTRC": b"curv\0\0\0\0\xff\xff\xff\xff"},
+])  # fmt: skip
+def test_damaged_profiles_are_reported(damage, tmp_path):
+    profile = icc(P3, SRGB_PARA, **damage)
+    reports(png(tmp_path / "a.png", PLAIN, iCCP=iccp(profile)), "taken as sRGB")
+
+
 def frame(path: Path, size: tuple[int, int], **fields: object) -> Frame:
     return Frame(label="frame 0", image=path, to_world=np.eye(4), focal=(20.0, 20.0),
                  center=(size[0] / 2, size[1] / 2), size=size, **fields)  # fmt: skip

@@ -143,7 +143,8 @@ def sampled_curve(curve: Callable[[np.ndarray], np.ndarray], name: str) -> Trans
     ValueError if it decreases or is black.
     """
     codes = np.arange(CODES) / (CODES - 1)
-    values = np.asarray(curve(codes), np.float64)
+    with np.errstate(all="ignore"):  # results that are not finite are refused
+        values = np.asarray(curve(codes), np.float64)
     values = np.broadcast_to(values.reshape(CODES, -1), (CODES, 3))
     if not (np.isfinite(values).all() and (np.diff(values, axis=0) >= 0).all()):
         raise ValueError("its tone curve is not ascending")
