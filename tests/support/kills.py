@@ -146,7 +146,7 @@ def killed(place: Place, chance: random.Random, at: Path, atomic: bool) -> str:
     return kept
 
 
-def kill_while_keeping(folder: Path, chance: random.Random, size: int = 2**24) -> str:
+def kill_while_keeping(folder: Path, chance: random.Random, size: int = 2**22) -> str:
     """Kill a process at a random moment while it keeps an array; return whether it is kept.
 
     Either all of it is read afterwards, or it is computed and kept again.
