@@ -32,10 +32,12 @@ from svu_mi.posterior.estimators import (
     statistics_posterior,
     tiled_posterior,
     view_counts,
+    with_folds,
 )
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.prediction import Prediction
 from svu_mi.posterior.row_entropy import log_prior
 from svu_mi.posterior.spectrum import spectrum_grid, spectrum_posterior
 from svu_mi.posterior.tiled import TiledKernel
@@ -127,28 +129,34 @@ def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimat
     observed = inputs.observed
     sure: Any = inflated(switches, observed.capture)
     from_views = _from_statistics if isinstance(sure, AngularPreset) else _from_spectra
+    posterior, prediction = from_views(inputs, sure)
     return Estimate(
-        method=method, preset=switches, texels=observed.texels, posterior=from_views(inputs, sure),
+        method=method, preset=switches, texels=observed.texels, posterior=posterior,
         coverage=to_drjit(mi.UInt32, view_counts(observed, switches)),
         seen_per_view=observed.visibility.per_view, skipped=inputs.plan.skipped,
         timings=inputs.progress.timings, observed=observed, prior=inputs.prior,
+        prediction=prediction,
     )  # fmt: skip
 
 
-def _from_statistics(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
-    """Return the posterior from statistics of all views (Eq. 3 to 6)."""
+def _from_statistics(
+    inputs: EstimatorInputs, switches: AngularPreset
+) -> tuple[Posterior, Prediction | None]:
+    """Return the posterior from statistics of all views (Eq. 3 to 6), and its test by folds."""
     observed, progress = inputs.observed, inputs.progress
     # Unseen texels count, too: the memory estimate is printed before visibility is traced.
     if observed.texels.count > TILE:
-        return tiled_posterior(inputs, switches)
+        inputs = with_folds(inputs, switches)
+        return tiled_posterior(inputs, switches), inputs.test.prediction
     factors = gather_factors(inputs, switches)
+    inputs = with_folds(inputs, switches)
     with progress.stage("Computing entropy"):
         posterior = statistics_posterior(inputs, switches, factors)
         dr.eval(posterior.entropy())
-    return posterior
+    return posterior, inputs.test.prediction
 
 
-def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
+def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> tuple[Posterior, None]:
     """Return the posterior from power spectra (Sec. 3.3)."""
     observed, plan, progress = inputs.observed, inputs.plan, inputs.progress
     irradiance = None
@@ -169,7 +177,7 @@ def _from_spectra(inputs: EstimatorInputs, switches: Preset) -> Posterior:
             observed=observed.visibility.coverage > 0, irradiance=irradiance, copies=plan.copies,
         )  # fmt: skip
         dr.eval(posterior.entropy())
-    return posterior
+    return posterior, None
 
 
 def materialized(result: Estimate, progress: Progress | None = None) -> Estimate:

@@ -223,6 +223,10 @@ class AngularPreset(_Channels):
     overdispersion: float = 3.5
     """Overdispersion tau: N samples with correlated errors count as N / tau (calibrated)."""
 
+    folds: int = 6
+    """Number of clusters of cameras that are left out in turn to test error bars; if texels change
+    more than their standard deviations permit, these are increased. 0: no test (calibrated)."""
+
     degrees: float = 4.0
     """Degrees of freedom nu of the noise prior. The prior counts as nu samples with the noise of
     the median texel (calibrated)."""
@@ -250,7 +254,7 @@ class AngularPreset(_Channels):
         require_ranges(
             self, sigma=(1e-12, 1e12), assumed=(1e-12, 1e12), overdispersion=(1, 1e6),
             degrees=(1e-6, 1e6), knee=(1e-6, 1e6), edges=(0, 1e6), metals=(0, 0.99),
-            levels=(4, 64), parts=(2, 512),
+            levels=(4, 64), parts=(2, 512), folds=(0, 60),
         )  # fmt: skip
         if self.noise == "estimated" and self.parameters != "principled":
             raise OptionError(
@@ -337,7 +341,7 @@ PRESETS: dict[str, Preset] = {
 ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
     "fixed": AngularPreset(name="fixed", channels="grey", noise="relative"),
-    "fast": AngularPreset(name="fast", channels="grey", cells=0, parts=14),
+    "fast": AngularPreset(name="fast", channels="grey", cells=0, parts=14, folds=0),
     # The paper gives no sigma. 0.4 for a sum over 25 views equals 0.08 for their mean; about 25 of
     # 60 cameras on a sphere see a texel.
     "paper": AngularPreset(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,6 +68,20 @@ class Bits:
             bits.words.numpy().reshape(-1, max(int(bits.stride[0]), 1)) for bits in (self, other)
         ]
         words = np.concatenate(rows, axis=1)
+        stride = dr.opaque(mi.UInt32, words.shape[1])
+        return Bits(to_drjit(mi.UInt32, words.ravel()), stride, self.last)
+
+    def without(self, groups: Sequence[np.ndarray]) -> Bits:
+        """Return all S lanes once for each group, with the group's bits set to 0.
+
+        Lane g S + s is lane s without the bits in ``groups[g]``.
+        """
+        rows = self.words.numpy().reshape(-1, max(int(self.stride[0]), 1))
+        kept = np.full((len(rows), len(groups), 1), 2**WORD - 1, np.uint32)
+        for group, numbers in enumerate(groups):
+            bits = np.uint32(1) << (numbers % WORD).astype(np.uint32)
+            np.bitwise_and.at(kept[:, group, 0], numbers // WORD, ~bits)
+        words = (rows[:, None] & kept).reshape(len(rows), -1)
         stride = dr.opaque(mi.UInt32, words.shape[1])
         return Bits(to_drjit(mi.UInt32, words.ravel()), stride, self.last)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -100,6 +100,19 @@ class Texels:
     def inside(self) -> np.ndarray:
         """Return the mask of the charts, (H, W) bool."""
         return self.layout.inside()
+
+    def subset(self, numbers: np.ndarray) -> Texels:
+        """Return the texels of given numbers in [0, T), which may repeat."""
+        chosen = to_drjit(mi.UInt32, numbers.astype(np.uint32))
+
+        def take(values: Any) -> Any:
+            return dr.gather(type(values), values, chosen)
+
+        names = ("index", "face", "position", "normal", "geometric_normal", "uv", "footprint")
+        taken: dict[str, Any] = {name: take(getattr(self, name)) for name in names}
+        taken["sides"] = take(self.sides[0]), take(self.sides[1])
+        dr.eval(taken)
+        return replace(self, **taken)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -59,6 +59,20 @@ class Visibility:
     def clipped_coverage(self) -> np.ndarray | int:
         """Views that show a texel only by saturated pixels: counts (T,) uint32; 0 without any."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
+
+    def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> Visibility:
+        """Return the visibility of (t,) texels once for each group of views, without these views.
+
+        Texel g t + k is ``texels[k]`` without the views in ``groups[g]``. Sums of radiance and
+        numbers of texels still contain all views.
+        """
+        chosen = to_drjit(mi.UInt32, texels.astype(np.uint32))
+        bits = self.bits.at(chosen).without(groups)
+        return replace(
+            self, bits=bits, coverage=to_drjit(mi.UInt32, bits.count().astype(np.uint32)),
+            total=to_drjit(mi.Float64, np.tile(self.total.numpy()[texels], len(groups))),
+            clipped=None if self.clipped is None else self.clipped.at(chosen).without(groups),
+        )  # fmt: skip
 
     def sample(
         self, views: Views, surface: TexelLanes, slot: Any, *, clipped: bool = False,

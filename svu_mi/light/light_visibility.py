@@ -147,6 +147,11 @@ class MirrorVisibility:
     bits: Bits
     lane: Any
 
+    def subset(self, lanes: np.ndarray) -> MirrorVisibility:
+        """Return the visibility of selected lanes, as that of texels 0, 1, ..."""
+        chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
+        return MirrorVisibility(self.bits.at(chosen), dr.arange(mi.UInt32, len(lanes)))
+
     def test(self, slot: Any, texel: Any) -> Any:
         """Return whether the mirror direction is unoccluded, Bool."""
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))

@@ -85,6 +85,8 @@ def run_record(
     result = {
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
         "intervals": summary or IntervalSummary.of(estimate),
+        "error_bars_widened": estimate.posterior.kernel.spread,
+        "prediction": estimate.prediction,
     }
     return _record(
         capture, estimate, _settings(estimate), result,

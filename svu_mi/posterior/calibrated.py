@@ -8,6 +8,7 @@ Probabilities are integrals over the grid's bins, and the entropy (Eq. 5) is com
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from statistics import NormalDist
@@ -117,6 +118,9 @@ class CalibratedKernel(Kernel):
         noise: (S,) float64, standard deviation s of a sample of weight 1, in radiance.
         summary: entropy, moments and best bins of the S texels.
         learned: True if the prior was learned (``empirical_bayes``).
+        spread: factor of the standard deviation by parameter, at least 1 (``folds``); default: 1.
+            Widens ``sd``, ``interval``, draws and entropy, up to the prior's standard deviation;
+            means and bin probabilities stay.
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
     """
@@ -126,6 +130,7 @@ class CalibratedKernel(Kernel):
     noise: np.ndarray
     summary: kernel.PosteriorSummary = field(repr=False)
     learned: bool = False
+    spread: Mapping[str, float] = field(default_factory=dict)
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
     continuous = True
 
@@ -154,7 +159,22 @@ class CalibratedKernel(Kernel):
         most = self.prior.max_entropy
         if most <= 0:  # the prior allows only one bin
             return np.zeros(len(texels), np.float32)
-        return np.clip(np.array(self.summary.entropy) / np.float32(most), 0, 1)[self.lane[texels]]
+        entropy = np.array(self.summary.entropy)[self.lane[texels]] + self._spread_entropy(texels)
+        return np.clip(entropy / np.float32(most), 0, 1)
+
+    def _spread_entropy(self, texels: np.ndarray) -> Any:
+        """Return the increase of the entropy by ``spread`` [nats], (t,).
+
+        A normal distribution in bins of width h has the entropy 1/2 log(1 + 2 pi e s^2 / h^2),
+        exact for s << h and s >> h.
+        """
+        added: Any = np.float32(0)
+        for name in self.spread:
+            sd = self._own_moments(name, texels)[1]
+            scaled = 2 * np.pi * np.e * (sd * (len(self.grid.axes[name]) - 1)) ** 2
+            rise = np.log((1 + self._factors(name, sd) ** 2 * scaled) / (1 + scaled)) / 2
+            added = added + rise.mean(axis=1, dtype=np.float32)
+        return added
 
     def probabilities(self, texels: np.ndarray) -> np.ndarray:
         """Return bin probabilities (see ``Kernel``)."""
@@ -178,13 +198,24 @@ class CalibratedKernel(Kernel):
 
     def moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation (see ``Kernel``)."""
+        mean, sd = self._own_moments(name, texels)
+        sd = sd * self._factors(name, sd)
+        return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
+
+    def _factors(self, name: str, sd: np.ndarray) -> np.ndarray:
+        """Return factors of standard deviations ``sd``, (t, g): ``spread``, up to the prior's."""
+        most = np.asarray(self.prior.moments(name)[1], np.float32)
+        return np.clip(most / np.maximum(sd, np.float32(1e-9)), 1, self.spread.get(name, 1.0))
+
+    def _own_moments(self, name: str, texels: np.ndarray) -> Pair:
+        """Return mean and standard deviation without ``spread`` and ``common``, (t, g)."""
         summary, lanes = self.summary, self.lane[texels]
         at = [list(self.grid.axes).index(name)]
         if name == "base_color":
             at = list(range(at[0], at[0] + self.problem.factors.channels)) * self.problem.copies
         mean, sd = (np.stack([np.array(x[k])[lanes] for k in at], axis=-1)
                     for x in (summary.mean, summary.sd))  # fmt: skip
-        return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
+        return mean, sd
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
         """Return the ends of the shortest intervals (see ``Kernel``)."""
@@ -195,7 +226,24 @@ class CalibratedKernel(Kernel):
             for first in range(0, len(lanes), TEXELS_PER_CHUNK)
         ]
         low, high = (np.concatenate([ends[k] for ends in chunks]) for k in range(2))
-        return low, high
+        low, high = (self._stretched(name, end, texels) for end in (low, high))
+        if name != "base_color" or not any(self.common):
+            return low, high
+        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._common
+        half = np.hypot((high - low) / 2, wide * middle)
+        return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
+
+    def _stretched(
+        self, name: str, values: np.ndarray, texels: np.ndarray, channel: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return values (..., t, g) moved away from the mean by the factor ``spread``."""
+        if self.spread.get(name, 1.0) <= 1:
+            return values
+        mean, sd = self._own_moments(name, texels)
+        factor = self._factors(name, sd)
+        if channel is not None:
+            mean, factor = (np.take_along_axis(x, channel[:, None], axis=1) for x in (mean, factor))
+        return np.clip(mean + factor * (values - mean), 0, 1)
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
         """Return half the widths of intervals (see ``Kernel``)."""
@@ -206,8 +254,9 @@ class CalibratedKernel(Kernel):
         widest = self.moments(name, texels)[1].argmax(axis=1)
         parts = uniform_axis(self.grid.axes[name], COLOR_PARTS)
         (masses,) = kernel.color_masses(problem, parts, self.lane[texels], widest)
-        low, high = shortest_interval(masses, parts, len(texels), level)
-        return (np.array(high) - np.array(low)) / 2
+        ends = shortest_interval(masses, parts, len(texels), level)
+        low, high = (self._stretched(name, np.array(end)[:, None], texels, widest) for end in ends)
+        return (high - low)[:, 0] / 2
 
     def _ends_of_nodes(self, name: str, level: float, lanes: np.ndarray) -> Pair:
         masses = kernel.node_masses(self.problem, name, lanes)
@@ -220,12 +269,7 @@ class CalibratedKernel(Kernel):
         tables = kernel.color_masses(problem, parts, lanes)
         ends = [shortest_interval(masses, parts, len(lanes), level) for masses in tables]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
-        low, high = (np.repeat(end, problem.copies, axis=1) for end in (low, high))
-        if not any(self.common):
-            return low, high
-        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._common
-        half = np.hypot((high - low) / 2, wide * middle)
-        return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
+        return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Sample parameters (see ``Kernel``); draws of a texel do not depend on other texels."""
@@ -242,7 +286,8 @@ class CalibratedKernel(Kernel):
                 problem, lanes, total, [to_drjit(mi.Float, u[lanes]) for u in random]
             )
             for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
-                drawn[name][number] = np.stack([np.array(x) for x in values], axis=-1)
+                own = np.stack([np.array(x) for x in values], axis=-1)
+                drawn[name][number] = self._stretched(name, own, texels)
         return drawn
 
     def without_common_scale(self) -> CalibratedKernel:

@@ -15,6 +15,7 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimators import inflated
 from svu_mi.posterior.observations import Observed, observe
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.prediction import Prediction
 from svu_mi.presets import AnyPreset, Skip
 
 
@@ -34,6 +35,7 @@ class Estimate:
         observed: photographs, light and visibility, reused by later stages; keeps the photographs
             in memory.
         prior: weights of the grid's bins, as given to ``estimate()``; None for the default.
+        prediction: how well the model predicts photographs that were left out; None if not tested.
 
     Example:
         >>> estimate.entropy.shape == (texels.count,)
@@ -51,6 +53,7 @@ class Estimate:
     timings: dict[str, float] = field(default_factory=dict)
     observed: Observed | None = field(default=None, repr=False)
     prior: Any | None = field(default=None, repr=False)
+    prediction: Prediction | None = None
 
     def __repr__(self) -> str:
         seen = np.array(self.coverage) > 0

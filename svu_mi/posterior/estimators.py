@@ -15,26 +15,43 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import evenly_spaced, to_drjit
+from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
+from svu_mi.geometry.packed_views import CAMERA_FLOATS
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.calibrated import calibrated_posterior, fit, posterior_of, problem_of
-from svu_mi.posterior.kept_results import pack_factors, pack_fit, restore_factors, restore_fit
+from svu_mi.posterior.folds import SAMPLE, compared, folds_of, spread_factors
+from svu_mi.posterior.kept_results import (
+    pack_factors,
+    pack_fit,
+    pack_test,
+    restore_factors,
+    restore_fit,
+    restore_test,
+)
 from svu_mi.posterior.kernel import observed_by
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.prediction import FoldTest, predict
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import Plan
 from svu_mi.presets import AngularPreset, AnyPreset
 from svu_mi.statistics.cholesky_factors import Factors, stride
 from svu_mi.statistics.gather_statistics import Weighting
+from svu_mi.statistics.statistics import Statistics
 
 
 @dataclass(frozen=True)
 class EstimatorInputs:
-    """Inputs of both estimators; ``whole`` disables tiles (see ``pipeline.estimate``)."""
+    """Inputs of both estimators.
+
+    Attributes:
+        whole: True disables tiles (see ``pipeline.estimate``).
+        test: test by folds of the views (``with_folds``).
+    """
 
     observed: Observed
     grid: Any
@@ -42,6 +59,7 @@ class EstimatorInputs:
     plan: Plan
     progress: Progress
     whole: bool
+    test: FoldTest = FoldTest()
 
 
 def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
@@ -81,13 +99,70 @@ def statistics_posterior(
         pack_fit, partial(restore_fit, problem=problem),
     )  # fmt: skip
     seen = observed_by("estimate()", factors, copies, count)
-    return posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
+    posterior = posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
+    return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
     """Return all inputs of the statistics in addition to those of ``observed.cache``."""
     plan = inputs.plan
     return [switches, _levels(inputs, switches), plan.channels, plan.light_channels]
+
+
+def with_folds(inputs: EstimatorInputs, switches: AngularPreset) -> EstimatorInputs:
+    """Return inputs with the test by folds of the views (``folds``, ``prediction``)."""
+    if not switches.folds or switches.noise != "estimated":
+        return inputs
+    prior = None if inputs.prior is None else np.asarray(inputs.prior)
+    test = inputs.observed.cache.recall(
+        "folds", [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies],
+        lambda: _test_by_folds(inputs, switches), pack_test, restore_test,
+    )  # fmt: skip
+    return replace(inputs, test=test)
+
+
+def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest:
+    """Compare the posteriors of a sample of texels with those without each fold."""
+    observed, plan = inputs.observed, inputs.plan
+    seen = np.flatnonzero(view_counts(observed, switches))
+    texels = seen[evenly_spaced(len(seen), SAMPLE)]
+    if observed.texels.count > TILE:
+        observed = observed.subset(texels)
+    with inputs.progress.stage("Testing error bars"):
+        cameras = observed.views.cameras.numpy().reshape(-1, CAMERA_FLOATS)[:, 12:15]
+        # Component by component: Dr.Jit would compile a kernel for each number of points.
+        center = np.array([x.numpy().mean() for x in observed.texels.position])
+        folds = folds_of(cameras, center, switches.folds)
+        if not folds:
+            return FoldTest()
+        if switches.traced:
+            observed.light_visibility(switches.cells, occluded=switches.occluded)
+        parts = observed.without(texels, [np.array([], int), *folds])
+        statistics = _statistics(inputs, parts, switches)
+        posterior = calibrated_posterior(
+            statistics, inputs.grid, inputs.observed.unit, switches, prior=inputs.prior,
+            copies=plan.copies,
+        )  # fmt: skip
+        shape = (1 + len(folds), len(texels))
+        moments = {name: posterior.kernel.moments(name, np.arange(posterior.count))
+                   for name in posterior.axes}  # fmt: skip
+        there = compared(view_counts(parts, switches).reshape(shape))
+        spread = spread_factors(len(cameras), there, {
+            name: [x.reshape(*shape, -1) for x in both] for name, both in moments.items()
+        })  # fmt: skip
+        if parts.clipped_coverage is not None:  # lower bounds have no residual
+            parts = parts.without_clipped()
+            statistics = _statistics(inputs, parts, switches)
+        weighted = parts.radiance_moments(_weighting(inputs.observed, switches), plan.channels)
+        means = {name: both[0].astype(np.float64) for name, both in moments.items()}
+        return FoldTest(spread, predict(statistics, weighted, means, there))
+
+
+def _statistics(inputs: EstimatorInputs, parts: Observed, switches: AngularPreset) -> Statistics:
+    return parts.statistics(
+        _levels(inputs, switches), switches, inputs.plan.channels,
+        light_channels=inputs.plan.light_channels, weighting=_weighting(inputs.observed, switches),
+    )  # fmt: skip
 
 
 def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
@@ -179,10 +254,11 @@ def _posterior(
 ) -> Posterior:
     plan, seen = inputs.plan, inputs.observed
     if switches.noise == "estimated":
-        return calibrated_posterior(
+        posterior = calibrated_posterior(
             factors, inputs.grid, seen.unit, switches, prior=inputs.prior, copies=plan.copies,
             texels=texels, light_uncertainty=seen.capture.light_uncertainty, rounding=rounding,
         )  # fmt: skip
+        return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
     return angular_posterior(
         factors, inputs.grid, seen.unit, switches,
         prior=inputs.prior, copies=plan.copies, levels=plan.levels, texels=texels,

@@ -25,9 +25,11 @@ from svu_mi.geometry.bitset import WORD, Bits
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.light_tree import LightTree
 from svu_mi.light.light_visibility import LightVisibility
+from svu_mi.parameters import NAMES
 from svu_mi.posterior.calibrated import CalibratedFit
 from svu_mi.posterior.calibrated_kernel import PosteriorSummary
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
+from svu_mi.posterior.prediction import FoldTest, Prediction
 from svu_mi.statistics.cholesky_factors import Factors, stride
 
 
@@ -135,6 +137,24 @@ def restore_fit(arrays: Arrays, problem: CalibratedProblem) -> CalibratedFit:
         min_energy=to_drjit(mi.Float, arrays["min_energy"]),
     )  # fmt: skip
     return CalibratedFit(problem, arrays["noise"].copy(), summary)
+
+
+def pack_test(test: FoldTest) -> Arrays:
+    """Return the arrays of a test by folds."""
+    prediction = test.prediction
+    figures = [] if prediction is None else [prediction.r2, prediction.r2_of_means]
+    return {"spread": np.array([test.spread.get(name, 0.0) for name in NAMES]),
+            "prediction": np.array(figures, float)}  # fmt: skip
+
+
+def restore_test(arrays: Arrays) -> FoldTest:
+    """Return a test by folds."""
+    schema = {"spread": Field("f8", (len(NAMES),), 0, 1e6),
+              "prediction": Field("f8", (Axis("number of figures", 0, 2),))}  # fmt: skip
+    checked(arrays, schema, closed=True)
+    figures = arrays["prediction"].tolist()
+    spread = {n: float(x) for n, x in zip(NAMES, arrays["spread"], strict=True) if x}
+    return FoldTest(spread, Prediction(*figures) if len(figures) == 2 else None)
 
 
 def _words(numbers: int, lanes: int) -> Field:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import mitsuba as mi
@@ -72,6 +73,8 @@ class Kernel(ABC):
 
     grid: Grid
     continuous: bool
+    spread: Mapping[str, float] = MappingProxyType({})
+    """Factors by which tested error bars are widened, by parameter (``folds``); 1 if missing."""
 
     @property
     @abstractmethod

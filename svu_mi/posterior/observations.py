@@ -7,6 +7,7 @@ and rays to light cells are computed once, on first use.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf
@@ -53,6 +54,7 @@ from svu_mi.statistics.gather_statistics import (
     Weighting,
     clipped_samples,
     gather_statistics,
+    radiance_moments,
     rounding_sums,
 )
 from svu_mi.statistics.statistics import LazyStatistics, Statistics
@@ -81,11 +83,29 @@ class Observed:
     seen: np.ndarray
     cache: ArrayCache = ArrayCache()
     _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
-    _light_visibility: dict[Any, LightVisibility] = field(default_factory=dict, repr=False)
+    _rays: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
         """Return a copy that computes only (t,) ``texels``, with the same light."""
-        return replace(self, seen=texels, cache=ArrayCache(), _light_visibility={})
+        return replace(self, seen=texels, cache=ArrayCache(), _rays={})
+
+    def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> Observed:
+        """Return (t,) texels once for each group of views, without these (see ``Visibility``).
+
+        Rays that were traced for ``seen`` are not traced again.
+        """
+        numbers = np.tile(texels, len(groups))
+        lanes = self.lane[numbers]
+        return replace(
+            self, texels=self.texels.subset(numbers), seen=np.arange(len(numbers)),
+            cache=ArrayCache(),
+            visibility=self.visibility.without(texels, groups),
+            _rays={key: rays.subset(lanes) for key, rays in self._rays.items()},
+        )  # fmt: skip
+
+    def without_clipped(self) -> Observed:
+        """Return a copy that ignores saturated samples."""
+        return replace(self, visibility=replace(self.visibility, clipped=None))
 
     @cached_property
     def coverage(self) -> np.ndarray:
@@ -143,18 +163,23 @@ class Observed:
         lanes[self.seen] = np.arange(len(self.seen))
         return lanes
 
-    @cached_property
+    @property
     def mirrors(self) -> MirrorVisibility:
         """Visibility of the mirror direction of each sample; traced on first use."""
-        lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
-        return trace_mirror_visibility(self.views, self.surface, self.visibility, lane)
+        if "mirrors" not in self._rays:
+            lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
+            self._rays["mirrors"] = trace_mirror_visibility(
+                self.views, self.surface, self.visibility, lane
+            )
+        mirrors: MirrorVisibility = self._rays["mirrors"]
+        return mirrors
 
     def light_visibility(self, cells: int, *, occluded: bool = True) -> LightVisibility:
         """Return the visibility of ``cells`` fine light cells from S texels; cached."""
         key = (cells, occluded)
-        if key not in self._light_visibility:
+        if key not in self._rays:
             tree, surface = self.light_tree(cells), self.surface
-            self._light_visibility[key] = self.cache.recall(
+            self._rays[key] = self.cache.recall(
                 "occlusion", key,
                 lambda: trace_light_visibility(
                     self.views.scene, surface, tree, occluded=occluded
@@ -162,7 +187,8 @@ class Observed:
                 pack_light_visibility,
                 partial(restore_light_visibility, tree=tree, texel=surface.index),
             )  # fmt: skip
-        return self._light_visibility[key]
+        known: LightVisibility = self._rays[key]
+        return known
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of S texels: an (S,) Float per channel, 3 or 1."""
@@ -223,6 +249,10 @@ class Observed:
         """Return the rounding variance, (S,) squared radiance; None if photographs are floats."""
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
+
+    def radiance_moments(self, weighting: Weighting, channels: int) -> np.ndarray:
+        """Return sums of w, and of w b and w b^2 per channel, (1 + 2 C, S) float64."""
+        return radiance_moments(self.views, self.visibility, self.surface, weighting, channels)
 
     def _with_clipped(
         self, model: ReflectionModel, channels: int, weighting: Weighting

@@ -6,7 +6,7 @@ statistics of the requested texels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -56,6 +56,11 @@ class TiledKernel(Kernel):
     def prior(self) -> Prior:
         """Prior of all texels."""
         return self._one.prior
+
+    @property
+    def spread(self) -> Mapping[str, float]:  # type: ignore[override]
+        """Factors of standard deviations (see ``Kernel``)."""
+        return self._one.spread
 
     @cached_property
     def _one(self) -> Kernel:
