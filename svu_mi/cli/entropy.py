@@ -40,4 +40,5 @@ class Entropy(EstimateCommand, ResultCommand):
             run = self.run_info(progress)
             summary = write_outputs(capture, result, place, run, pictures=self.pictures)
         warn_if_too_bright(result)
-        return [summary.summary()]
+        predicted = result.prediction
+        return [summary.summary(), *([predicted.sentence()] if predicted else [])]

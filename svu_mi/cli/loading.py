@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +13,7 @@ from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.core.memory import Need, Sizes, search_bytes
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, SvuWarning
 
 if TYPE_CHECKING:
     from svu_mi.calibration.light.light_options import LightOptions
@@ -159,7 +160,10 @@ class EstimateCommand(LitCommand):
         capture, grid = self.load_with_light(progress, need, size)
         if recovered is not None:
             require_textures_of(capture, recovered)
-        return capture, self.estimation.estimate(progress, capture, grid, **options)
+        estimate = self.estimation.estimate(progress, capture, grid, **options)
+        if estimate.prediction is not None and not estimate.prediction.reliable:
+            warnings.warn(estimate.prediction.sentence(), SvuWarning, stacklevel=2)
+        return capture, estimate
 
 
 def read_capture(

@@ -23,7 +23,7 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import CAMERA_FLOATS
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.calibrated import calibrated_posterior, fit, posterior_of, problem_of
-from svu_mi.posterior.folds import SAMPLE, compared, folds_of, spread_factors
+from svu_mi.posterior.folds import ENOUGH, SAMPLE, compared, folds_of, spread_factors
 from svu_mi.posterior.kept_results import (
     pack_factors,
     pack_fit,
@@ -155,7 +155,9 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
             statistics = _statistics(inputs, parts, switches)
         weighted = parts.radiance_moments(_weighting(inputs.observed, switches), plan.channels)
         means = {name: both[0].astype(np.float64) for name, both in moments.items()}
-        return FoldTest(spread, predict(statistics, weighted, means, there))
+        # A side that a few photographs show is not predicted by the others.
+        enough = len(cameras) >= ENOUGH
+        return FoldTest(spread, predict(statistics, weighted, means, there) if enough else None)
 
 
 def _statistics(inputs: EstimatorInputs, parts: Observed, switches: AngularPreset) -> Statistics:

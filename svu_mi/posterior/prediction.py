@@ -9,8 +9,7 @@ nothing of the mesh, the light and the material: a model that predicts worse is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -61,7 +60,7 @@ class FoldTest:
         prediction: how well photographs that were left out are predicted; None if not tested.
     """
 
-    spread: Mapping[str, float] = MappingProxyType({})
+    spread: Mapping[str, float] = field(default_factory=dict)
     prediction: Prediction | None = None
 
 
