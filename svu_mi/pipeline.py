@@ -37,7 +37,7 @@ from svu_mi.posterior.estimators import (
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.prediction import Prediction
+from svu_mi.posterior.prediction import HeldOutPrediction
 from svu_mi.posterior.row_entropy import log_prior
 from svu_mi.posterior.spectrum import spectrum_grid, spectrum_posterior
 from svu_mi.posterior.tiled import TiledKernel
@@ -141,7 +141,7 @@ def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimat
 
 def _from_statistics(
     inputs: EstimatorInputs, switches: AngularPreset
-) -> tuple[Posterior, Prediction | None]:
+) -> tuple[Posterior, HeldOutPrediction | None]:
     """Return the posterior from statistics of all views (Eq. 3 to 6), and its test by folds."""
     observed, progress = inputs.observed, inputs.progress
     # Unseen texels count, too: the memory estimate is printed before visibility is traced.

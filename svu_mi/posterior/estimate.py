@@ -15,7 +15,7 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimators import inflated
 from svu_mi.posterior.observations import Observed, observe
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.prediction import Prediction
+from svu_mi.posterior.prediction import HeldOutPrediction
 from svu_mi.presets import AnyPreset, Skip
 
 
@@ -53,7 +53,7 @@ class Estimate:
     timings: dict[str, float] = field(default_factory=dict)
     observed: Observed | None = field(default=None, repr=False)
     prior: Any | None = field(default=None, repr=False)
-    prediction: Prediction | None = None
+    prediction: HeldOutPrediction | None = None
 
     def __repr__(self) -> str:
         seen = np.array(self.coverage) > 0

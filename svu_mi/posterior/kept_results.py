@@ -29,7 +29,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.posterior.calibrated import CalibratedFit
 from svu_mi.posterior.calibrated_kernel import PosteriorSummary
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
-from svu_mi.posterior.prediction import FoldTest, Prediction
+from svu_mi.posterior.prediction import FoldTest, HeldOutPrediction
 from svu_mi.statistics.cholesky_factors import Factors, stride
 
 
@@ -154,7 +154,7 @@ def restore_test(arrays: Arrays) -> FoldTest:
     checked(arrays, schema, closed=True)
     figures = arrays["prediction"].tolist()
     spread = {n: float(x) for n, x in zip(NAMES, arrays["spread"], strict=True) if x}
-    return FoldTest(spread, Prediction(*figures) if len(figures) == 2 else None)
+    return FoldTest(spread, HeldOutPrediction(*figures) if len(figures) == 2 else None)
 
 
 def _words(numbers: int, lanes: int) -> Field:

@@ -1,4 +1,4 @@
-"""Prediction of photographs that were left out.
+"""HeldOutPrediction of photographs that were left out.
 
 Posterior means without a fold of the views predict the samples of its photographs. Statistics add,
 so the squared error of these samples is a quadratic form of the statistics of all views minus
@@ -24,7 +24,7 @@ LEAST = 0.5  # smallest R^2 of a sound model
 
 
 @dataclass(frozen=True)
-class Prediction:
+class HeldOutPrediction:
     """How well photographs that were left out are predicted.
 
     Attributes:
@@ -61,13 +61,13 @@ class FoldTest:
     """
 
     spread: Mapping[str, float] = field(default_factory=dict)
-    prediction: Prediction | None = None
+    prediction: HeldOutPrediction | None = None
 
 
 def predict(
     statistics: Statistics, moments: np.ndarray, means: Mapping[str, np.ndarray],
     there: np.ndarray,
-) -> Prediction | None:  # fmt: skip
+) -> HeldOutPrediction | None:  # fmt: skip
     """Return how well samples of F folds are predicted; None if no fold has a usable sample.
 
     Args:
@@ -99,7 +99,7 @@ def predict(
     total = (second - first**2 / np.maximum(weight, 1e-300)).sum()
     if not total > 0:
         return None
-    return Prediction(
+    return HeldOutPrediction(
         float(1 - np.maximum(error[there], 0).sum() / total), float(1 - by_means.sum() / total)
     )
 

@@ -13,7 +13,7 @@ import svu_mi as svu
 from svu_mi.bench.captures import chosen_views
 from svu_mi.geometry.bitset import Bits
 from svu_mi.posterior.folds import cluster_directions, compared, folds_of, spread_factors
-from svu_mi.posterior.prediction import Prediction, predict
+from svu_mi.posterior.prediction import HeldOutPrediction, predict
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
 
@@ -179,7 +179,7 @@ def test_photographs_that_were_left_out_are_predicted(capture, layout, estimates
     [((0.9, 0.8), True), ((0.79, 0.8), True), ((0.7, 0.8), False), ((0.3, -2.0), False)],
 )
 def test_reliable_models_predict_as_well_as_means(values, reliable):
-    prediction = Prediction(*values)
+    prediction = HeldOutPrediction(*values)
     assert prediction.reliable == reliable
     assert prediction.sentence().startswith("Predicts" if reliable else "Unreliable")
 
