@@ -192,7 +192,8 @@ def test_nothing_known_is_one_also_where_texels_share(shared: svu.Recovery) -> N
     blind = replace(posterior.kernel.problem, scale=0 * posterior.kernel.problem.scale)
     blind = replace(blind, min_energy=0 * blind.min_energy)
     blind = replace(blind, min_energy=kernel.min_energy(blind, excess=True))
-    unseen = replace(posterior, kernel=replace(posterior.kernel, problem=blind))
+    prior = replace(posterior.kernel, problem=blind, summary=kernel.summarize(blind))
+    unseen = replace(posterior, kernel=prior)
     entropy = np.array(unseen.entropy())
     np.testing.assert_allclose(entropy[posterior.observed], 1, atol=5e-3)
     mean = np.array(posterior.mean("base_color"))[~posterior.observed]
