@@ -22,13 +22,14 @@ from svu_mi.capture.importers.source_files import relative_name, safe_path
 from svu_mi.core.io.files import read_json, refusing, write_json
 from svu_mi.core.io.schema import FLAG, ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError, OptionError, excerpt
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
 
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # usual parts of a data set
+ALL, LISTED = "all", "_filenames"  # all parts; end of the names of nerfstudio's lists of a part
 UNSUPPORTED = ("k5", "k6")  # coefficients that the lens model lacks
 COORDINATE = Field(NUMBER, (), -LARGEST, LARGEST, "pixels", None)
 LENGTH = Field(NUMBER, (), 1 / LARGEST, LARGEST, "pixels", None)
@@ -62,20 +63,20 @@ def read(path: Path, options: ReadOptions) -> Source:
     """Read a file, or the file in a folder (see ``read_transforms``)."""
     if not path.is_file():
         part = _split_file(path, options.split)
-        if not part.is_file() and options.split not in SPLITS:
+        if not part.is_file() and options.split not in (*SPLITS, ALL):
             raise OptionError(
                 f"{path}: has no {part.name}; use an existing split, usually one of "
                 f"{', '.join(SPLITS)}."
             )
         path = part if part.is_file() else path / FILE
-    return read_transforms(path, original_world=options.original_world)
+    return read_transforms(path, original_world=options.original_world, split=options.split)
 
 
 def _split_file(folder: Path, split: str) -> Path:
     return folder / f"transforms_{split}.json"
 
 
-def read_transforms(path: str | Path, *, original_world: bool = False) -> Source:
+def read_transforms(path: str | Path, *, original_world: bool = False, split: str = ALL) -> Source:
     """Read poses, intrinsics, and paths of photographs and masks.
 
     Intrinsics are keys of the frame, else of the file: ``fl_x`` (or ``camera_angle_x``, the opening
@@ -88,9 +89,12 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
         path: path of the file.
         original_world: True to undo nerfstudio's ``applied_transform``, for a mesh in the world of
             the photogrammetry tool.
+        split: part of the photographs to read, if the file lists ``train_filenames`` and others;
+            ``all`` reads all.
     """
     path = Path(path)
     record, frames, applied = read_poses(path)
+    numbers, left_out = _of_split(record, frames, split, path)
     if original_world and applied.scale != 1:
         raise OptionError(
             f"{path}: has an applied_scale of {applied.scale:g}, which --original-world does not "
@@ -107,13 +111,47 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
         format="transforms",
         root=path.parent,
         frames=[
-            parse_frame(record, frame, path.parent, f"{path}: frame {index}", before, usual)
-            for index, frame in enumerate(frames)
+            parse_frame(record, frames[k], path.parent, f"{path}: frame {k}", before, usual)
+            for k in numbers
         ],
         camera_axes=OPENGL,
         applied=AppliedWorld(before @ applied.transform, applied.scale),
-        notes=tuple(notes),
+        notes=(*notes, *left_out),
     )
+
+
+def _of_split(
+    record: Mapping[str, Any], frames: Sequence[Any], split: str, path: Path
+) -> tuple[Sequence[int], list[str]]:
+    """Return the numbers of the frames of a split, and a note about others.
+
+    As in nerfstudio, files without ``train_filenames``, ``val_filenames`` and ``test_filenames``
+    are not split here.
+    """
+    lists = [name for name in (f"{part}{LISTED}" for part in SPLITS) if name in record]
+    if split == ALL or not lists:
+        return range(len(frames)), []
+    key = f"{split}{LISTED}"
+    if key not in lists:
+        raise OptionError(f"{path}: has {', '.join(lists)}, but no {key}; use another --split.")
+    with refusing(path, f"correct it there, or import all photographs with --split {ALL}"):
+        names = checked(record, {key: Field(TEXT, (ITEMS,))})[key]
+        wanted = {_image_path(path.parent, name, f"{path}: {key}") for name in names}
+        images = [
+            _image_path(path.parent, frame.get("file_path"), f"{path}: frame {k}")
+            for k, frame in enumerate(frames)
+        ]
+        if unknown := wanted - set(images):
+            name = excerpt(relative_name(path.parent, min(unknown)), 40)
+            raise ValueError(f"{key} contains {name}, which has no pose")
+        numbers = [k for k, image in enumerate(images) if image in wanted]
+        if not numbers:
+            raise ValueError(f"{key} is empty")
+    count = len(frames) - len(numbers)
+    return numbers, [
+        f"{path}: {count} of {len(frames)} photographs are not in {key} and are left out; import "
+        f"all of them with --split {ALL}."
+    ] if count else []
 
 
 def read_poses(path: Path) -> tuple[dict[str, Any], list[Any], AppliedWorld]:

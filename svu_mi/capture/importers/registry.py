@@ -49,8 +49,9 @@ class ReadOptions:
     masks: Path | None = None
     """COLMAP, LLFF, IDR: folder of the masks (default: masks or mask near the poses, if any)."""
     split: str = "train"
-    """Part of the data set: train, test, val, or X of transforms_X.json. Stanford-ORB: train, test,
-    or the name of another capture of the same object."""
+    """Part of the data set: train, test or val, in files or lists of their own; X of
+    transforms_X.json; all, without regard to lists. Stanford-ORB: train, test, or the name of
+    another capture of the same object."""
     environment_view: str | None = None
     """Stanford-ORB: test photograph whose environment map is the light (default: the first)."""
     original_world: bool = False

@@ -22,7 +22,6 @@ from support.helpers import foreign_source, names, projected, run, write_ball
 
 from svu_mi.capture.importers.colmap import project as colmap
 from svu_mi.capture.importers.colmap import undistortion
-from svu_mi.capture.importers.colmap.project import find_model
 from svu_mi.capture.importers.colmap.sparse_model import (
     ColmapCamera,
     Pose,
@@ -152,10 +151,9 @@ def put_text(root: Path, cameras: str = CAMERA_LINE, images: str = VIEW_LINE) ->
 def test_a_model_is_found_in_its_project(tmp_path, place):
     put(tmp_path, model=place)
     for path in (tmp_path, tmp_path / place):
-        assert find_model(path) == tmp_path / place
         (frame,) = read_colmap(path).frames
         assert frame.image == tmp_path / "images" / "a.png"
-    assert find_model(tmp_path / "images") is None
+    assert not colmap.recognises(tmp_path / "images", "")
 
 
 def test_the_folder_that_has_the_model_0_will_do(tmp_path):
@@ -175,9 +173,31 @@ def test_the_undistorted_model_and_its_images_go_first(tmp_path):
     assert frame.image == tmp_path / "dense" / "images" / "a.png"
 
 
-def test_several_models_are_told(tmp_path):
-    put(put(tmp_path), model="sparse/1")
-    assert "several models" in read_colmap(tmp_path).notes[1]
+@pytest.mark.parametrize("place", ["sparse/{}", "dense/{}/sparse", "colmap/sparse/{}", "{}"])
+def test_largest_of_several_models_is_read(tmp_path, place):
+    """Of 0, 2 and 10 with one, three and two images; 3 is damaged."""
+    (tmp_path / "images").mkdir()
+    for number, count in ((0, 1), (2, 3), (10, 2), (3, 0)):
+        folder = tmp_path / place.format(number)
+        folder.mkdir(parents=True)
+        write_model(folder, {1: CAMERA}, [replace(VIEW, name=f"{k}.png") for k in range(count)])
+    for k in range(3):
+        (tmp_path / "images" / f"{k}.png").touch()
+    images = {"images": tmp_path / "images"}
+    source = read_colmap(tmp_path, **images)
+    assert [frame.image.name for frame in source.frames] == ["0.png", "1.png", "2.png"]
+    model = {number: tmp_path / place.format(number) for number in (0, 2, 3, 10)}
+    assert source.notes[1] == (
+        f"{model[2]}: the largest of 4 models of parts of the scene is used ({model[0]} has 1, "
+        f"{model[3]} has 0, {model[10]} has 2); to use another, import its folder instead."
+    )
+    other = read_colmap(model[10], **images)
+    assert len(other.frames) == 2 and len(other.notes) == 1
+
+
+def test_only_model_may_have_another_number(tmp_path):
+    source = read_colmap(put(tmp_path, model="sparse/1"))
+    assert len(source.frames) == 1 and len(source.notes) == 1
 
 
 @pytest.mark.parametrize("name", ["a.png.png", "a.png", "a.jpg"])

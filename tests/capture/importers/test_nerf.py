@@ -12,6 +12,7 @@ from svu_mi.capture.importers.import_capture import import_capture
 from svu_mi.capture.importers.import_options import ImportOptions
 from svu_mi.capture.importers.nerf import read_transforms, write_transforms
 from svu_mi.capture.importers.nerfstudio_world import AppliedWorld, read_normalisation
+from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.capture.importers.source import OPENGL, Frame
 from svu_mi.capture.mesh import read_ply
 from svu_mi.capture.sensors import affine, describe
@@ -94,6 +95,54 @@ def test_intrinsics_of_the_file_are_those_of_its_frames(tmp_path):
     assert second["x_fov"] == pytest.approx(2 * np.degrees(np.arctan(4 / 9)))
     # OpenGL's camera looks along -Z, with +X to the right; ours along +Z, with +X to the left.
     np.testing.assert_allclose(first["to_world"], np.diag([-1, 1, -1, 1]))
+
+
+def split_capture(folder, **lists):
+    """Write poses of six photographs, and lists of the numbers of each part."""
+    names = [f"images/{k}.png" for k in range(6)]
+    frames = [{**GOOD, "file_path": f"./{name}"} for name in names]
+    parts = {f"{part}_filenames": [names[k] for k in numbers] for part, numbers in lists.items()}
+    (folder / "transforms.json").write_text(json.dumps({**parts, "frames": frames}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("split", "numbers"), [("train", "013"), ("test", "45"), ("val", "2"), ("all", "012345")]
+)
+def test_split_lists_of_nerfstudio_are_followed(tmp_path, split, numbers):
+    folder = split_capture(tmp_path, train=[3, 0, 1], test=[4, 5], val=[2])
+    source = read_source(folder, ReadOptions(split=split))
+    assert "".join(frame.image.stem for frame in source.frames) == numbers
+    assert source.frames[-1].label == f"{folder / 'transforms.json'}: frame {numbers[-1]}"
+    left_out = f"{6 - len(numbers)} of 6 photographs are not in {split}_filenames and are left out"
+    assert [left_out in note for note in source.notes] == ([True] if split != "all" else [])
+
+
+@pytest.mark.parametrize(
+    ("lists", "sentence"),
+    [
+        ({"test": [4]}, "has test_filenames, but no train_filenames; use another --split"),
+        ({"train": []}, "train_filenames is empty; .* with --split all"),
+        ({"train": [0]}, "train_filenames contains images/0.jpg, which has no pose"),
+        ({"train": [0], "test": [1]}, "train_filenames must be"),
+    ],
+)
+def test_wrong_split_lists_are_refused(tmp_path, lists, sentence):
+    file = split_capture(tmp_path, **lists) / "transforms.json"
+    text = file.read_text()
+    if "jpg" in sentence:
+        text = text.replace('["images/0.png"]', '["images/0.jpg"]')
+    if "must be" in sentence:
+        text = text.replace('["images/0.png"]', '"images/0.png"')
+    file.write_text(text)
+    with pytest.raises((CaptureError, OptionError), match=sentence):
+        read_source(tmp_path)
+
+
+def test_files_without_lists_have_no_splits(tmp_path):
+    folder = split_capture(tmp_path)
+    for split in ("train", "test", "all"):
+        assert len(read_source(folder, ReadOptions(split=split)).frames) == 6
 
 
 def turned(seed: int) -> np.ndarray:

@@ -17,6 +17,7 @@ import scipy
 from svu_mi.capture.importers.colmap.sparse_model import (
     ColmapCamera,
     Pose,
+    count_images,
     is_model,
     read_model,
     read_points,
@@ -31,18 +32,26 @@ if TYPE_CHECKING:
 
 # Undistorted models come before their distorted originals; both have the same world.
 # nerfstudio keeps the project in colmap/, next to the photographs.
-PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".", "0")
+# A place with a number may have several models, of parts of the scene that COLMAP did not connect.
+NUMBER = "[0-9]*"
+PLACES = (
+    "dense/sparse", f"dense/{NUMBER}/sparse", f"sparse/{NUMBER}", "sparse",
+    f"colmap/sparse/{NUMBER}", ".", NUMBER,
+)  # fmt: skip
 IMAGES, MASKS = "images", "masks"
+SHOWN = 5  # other models in a note
 
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
     """Sparse model: cameras by their id, and V views sorted by name.
 
-    ``images`` is the folder of the V photographs; ``masks`` contains None for missing masks.
+    ``others`` are models of other parts of the scene. ``images`` is the folder of the V
+    photographs; ``masks`` contains None for missing masks.
     """
 
     model: Path
+    others: Sequence[Path]
     cameras: dict[int, ColmapCamera]
     views: Sequence[Pose]
     images: Path
@@ -52,15 +61,16 @@ class Project:
 
 def recognises(path: Path, _: str) -> bool:
     """Return whether a folder contains a sparse model."""
-    return find_model(path) is not None
+    return bool(_find_models(path))
 
 
 def read(path: Path, options: ReadOptions) -> Source:
     """Read a sparse model; its views are sorted by name.
 
     ``path`` is the folder of the model, the folder ``sparse`` that contains its ``0``, or a project
-    with ``sparse/0``, ``sparse`` or ``dense/sparse``. By default, ``images`` and ``masks`` are near
-    the model. The mask of an image NAME is ``NAME.png``, or has the same stem.
+    with ``sparse/0``, ``sparse`` or ``dense/sparse``. Of several models ``0``, ``1``, ..., the one
+    with most images is read. By default, ``images`` and ``masks`` are near the model. The mask of
+    an image NAME is ``NAME.png``, or has the same stem.
     """
     project = read_project(path, options.images, options.masks, partly=True)
     frames = []
@@ -95,10 +105,13 @@ def read(path: Path, options: ReadOptions) -> Source:
     )
 
 
-def find_model(path: Path) -> Path | None:
-    """Return the folder of a sparse model: ``path``, or one inside of it; None without any."""
-    folders = [Path(os.path.normpath(path / place)) for place in PLACES]
-    return next((folder for folder in folders if is_model(folder)), None)
+def _find_models(path: Path) -> list[Path]:
+    """Return the folders of sparse models in the first of ``PLACES`` that has any, by number."""
+    for place in PLACES:
+        folders = [path] if place == "." else path.glob(place)
+        if models := [Path(os.path.normpath(folder)) for folder in folders if is_model(folder)]:
+            return sorted(models, key=lambda model: (len(str(model)), model))
+    return []
 
 
 def read_project(
@@ -108,9 +121,10 @@ def read_project(
 
     Paths are as in ``read``.
     """
-    model = find_model(path)
-    if model is None:
+    models = _find_models(path)
+    if not models:
         raise CaptureError(f"{path}: not a COLMAP model; expected cameras.bin or .txt in sparse/0.")
+    model = max(models, key=count_images) if len(models) > 1 else models[0]
     cameras, views = read_model(model)
     images = find_folder(IMAGES, images, _possible_folders(model, IMAGES))
     if images is None:
@@ -125,6 +139,7 @@ def read_project(
         )
     return Project(
         model=model,
+        others=[other for other in models if other != model],
         cameras=cameras,
         views=views,
         images=images,
@@ -149,6 +164,9 @@ def _notes(project: Project) -> Iterator[str]:
         f"{len(project.views)} images of COLMAP; its world has its own unit and up axis, and the "
         "mesh must use the same."
     )
-    folder = project.model.parent
-    if project.model.name == "0" and is_model(folder / "1"):
-        yield f"{folder}: has several models of parts of the scene; model 0 is used."
+    if project.others:
+        counts = ", ".join(f"{other} has {count_images(other)}" for other in project.others[:SHOWN])
+        yield (
+            f"{project.model}: the largest of {len(project.others) + 1} models of parts of the "
+            f"scene is used ({counts}); to use another, import its folder instead."
+        )

@@ -133,6 +133,14 @@ def read_model(folder: Path) -> tuple[dict[int, ColmapCamera], list[Pose]]:
     return cameras, sorted(views, key=lambda view: view.name)
 
 
+def count_images(folder: Path) -> int:
+    """Return the number of images of a model; 0 if it is damaged."""
+    try:
+        return len(read_model(folder)[1])
+    except CaptureError:
+        return 0
+
+
 def read_points(folder: Path) -> np.ndarray | None:
     """Return the first reconstructed points (P, 3); None without points, or if damaged."""
     read = _read_points if (folder / "points3D.bin").is_file() else _parse_points
