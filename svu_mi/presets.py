@@ -224,7 +224,7 @@ class AngularPreset(_Channels):
     """Overdispersion tau: N samples with correlated errors count as N / tau (calibrated)."""
 
     folds: int = 6
-    """Number of clusters of cameras that are left out in turn to test error bars; if texels change
+    """Number of clusters of cameras that are held out in turn to test error bars; if texels change
     more than their standard deviations permit, these are increased. 0: no test (calibrated)."""
 
     degrees: float = 4.0

@@ -35,7 +35,7 @@ class Estimate:
         observed: photographs, light and visibility, reused by later stages; keeps the photographs
             in memory.
         prior: weights of the grid's bins, as given to ``estimate()``; None for the default.
-        prediction: how well the model predicts photographs that were left out; None if not tested.
+        prediction: how well the model predicts held-out photographs; None if not tested.
 
     Example:
         >>> estimate.entropy.shape == (texels.count,)

@@ -1,6 +1,6 @@
 """Error bars tested on the capture itself: posteriors without the photographs of one side.
 
-If model and noise are right, photographs that are left out change a texel's mean by as much as its
+If model and noise are right, omitting photographs changes a texel's mean by as much as its
 variance grows (law of total variance),
 
     E (m_k - m)^2 = s_k^2 - s^2,

@@ -1,4 +1,4 @@
-"""HeldOutPrediction of photographs that were left out.
+"""Prediction of held-out photographs.
 
 Posterior means without a fold of the views predict the samples of its photographs. Statistics add,
 so the squared error of these samples is a quadratic form of the statistics of all views minus
@@ -25,7 +25,7 @@ LEAST = 0.5  # smallest R^2 of a sound model
 
 @dataclass(frozen=True)
 class HeldOutPrediction:
-    """How well photographs that were left out are predicted.
+    """How well held-out photographs are predicted.
 
     Attributes:
         r2: R^2 of the reflection model: 1 is perfect, 0 as good as the mean of all samples.
@@ -44,10 +44,10 @@ class HeldOutPrediction:
         """Return a sentence with both figures."""
         r2, means = f"R^2 {self.r2:.2f}", f"{self.r2_of_means:.2f}"
         if self.reliable:
-            return f"Predicts photographs that were left out: {r2} (means of texels: {means})."
+            return f"Predicts held-out photographs: {r2} (means of texels: {means})."
         return (
-            f"Unreliable: photographs that were left out are predicted with {r2}, by means of "
-            f"texels with {means}; the mesh, light, poses or exposures do not fit: run svu check."
+            f"Unreliable: held-out photographs are predicted with {r2}, by means of texels with "
+            f"{means}; the mesh, light, poses or exposures do not fit: run svu check."
         )
 
 
@@ -57,7 +57,7 @@ class FoldTest:
 
     Attributes:
         spread: factors of standard deviations by parameter (``spread_factors``).
-        prediction: how well photographs that were left out are predicted; None if not tested.
+        prediction: how well held-out photographs are predicted; None if not tested.
     """
 
     spread: Mapping[str, float] = field(default_factory=dict)
