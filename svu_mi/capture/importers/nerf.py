@@ -18,7 +18,13 @@ from svu_mi.capture.image_io import SUFFIXES, open_image
 from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
 from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENGL, Frame, Source
-from svu_mi.capture.importers.source_files import relative_name, safe_path
+from svu_mi.capture.importers.source_files import (
+    find_file,
+    find_folder,
+    find_mask,
+    relative_name,
+    substitutions,
+)
 from svu_mi.core.io.files import read_json, refusing, write_json
 from svu_mi.core.io.schema import FLAG, ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
@@ -30,6 +36,8 @@ if TYPE_CHECKING:
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # usual parts of a data set
 ALL, LISTED = "all", "_filenames"  # all parts; end of the names of nerfstudio's lists of a part
+FOLDERS = ("images", "masks")  # options
+Folders = tuple[Path | None, ...]  # of the photographs and of the masks
 UNSUPPORTED = ("k5", "k6")  # coefficients that the lens model lacks
 COORDINATE = Field(NUMBER, (), -LARGEST, LARGEST, "pixels", None)
 LENGTH = Field(NUMBER, (), 1 / LARGEST, LARGEST, "pixels", None)
@@ -69,14 +77,22 @@ def read(path: Path, options: ReadOptions) -> Source:
                 f"{', '.join(SPLITS)}."
             )
         path = part if part.is_file() else path / FILE
-    return read_transforms(path, original_world=options.original_world, split=options.split)
+    return read_transforms(
+        path,
+        original_world=options.original_world,
+        split=options.split,
+        folders=tuple(find_folder(kind, getattr(options, kind), ()) for kind in FOLDERS),
+    )
 
 
 def _split_file(folder: Path, split: str) -> Path:
     return folder / f"transforms_{split}.json"
 
 
-def read_transforms(path: str | Path, *, original_world: bool = False, split: str = ALL) -> Source:
+def read_transforms(
+    path: str | Path, *, original_world: bool = False, split: str = ALL,
+    folders: Folders = (None, None),
+) -> Source:  # fmt: skip
     """Read poses, intrinsics, and paths of photographs and masks.
 
     Intrinsics are keys of the frame, else of the file: ``fl_x`` (or ``camera_angle_x``, the opening
@@ -91,29 +107,36 @@ def read_transforms(path: str | Path, *, original_world: bool = False, split: st
             the photogrammetry tool.
         split: part of the photographs to read, if the file lists ``train_filenames`` and others;
             ``all`` reads all.
+        folders: folders of the photographs and of the masks, if not below the file's folder.
     """
     path = Path(path)
     record, frames, applied = read_poses(path)
-    numbers, left_out = _of_split(record, frames, split, path)
+    numbers, left_out = _of_split(record, frames, split, path, folders[0])
     if original_world and applied.scale != 1:
         raise OptionError(
             f"{path}: has an applied_scale of {applied.scale:g}, which --original-world does not "
             "undo; omit that option, and give a mesh in the world of the poses."
         )
     before = np.linalg.inv(applied.transform) if original_world else np.eye(4)
-    usual = _default_size(path, record, frames)
+    usual = _default_size(path, record, frames, folders[0])
     unchanged = np.allclose(applied.transform, np.eye(4)) and applied.scale == 1
     notes = [] if original_world or unchanged else [
         f"{path}: has an applied_transform or applied_scale; poses are in the world after it. "
         "If the mesh is in the world before it, import with --original-world."
     ]  # fmt: skip
+    read = [
+        parse_frame(record, frames[k], path.parent, f"{path}: frame {k}", before, usual, folders)
+        for k in numbers
+    ]
+    for key, attribute, folder in (("file_path", "image", 0), ("mask_path", "mask", 1)):
+        files = [getattr(frame, attribute) for frame in read]
+        named = zip([frames[k].get(key) for k in numbers], files, strict=True)
+        pairs = [(name, file) for name, file in named if name is not None and file is not None]
+        notes += substitutions(str(path), folders[folder] or path.parent, pairs)
     return Source(
         format="transforms",
         root=path.parent,
-        frames=[
-            parse_frame(record, frames[k], path.parent, f"{path}: frame {k}", before, usual)
-            for k in numbers
-        ],
+        frames=read,
         camera_axes=OPENGL,
         applied=AppliedWorld(before @ applied.transform, applied.scale),
         notes=(*notes, *left_out),
@@ -121,7 +144,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False, split: st
 
 
 def _of_split(
-    record: Mapping[str, Any], frames: Sequence[Any], split: str, path: Path
+    record: Mapping[str, Any], frames: Sequence[Any], split: str, path: Path, folder: Path | None
 ) -> tuple[Sequence[int], list[str]]:
     """Return the numbers of the frames of a split, and a note about others.
 
@@ -136,9 +159,9 @@ def _of_split(
         raise OptionError(f"{path}: has {', '.join(lists)}, but no {key}; use another --split.")
     with refusing(path, f"correct it there, or import all photographs with --split {ALL}"):
         names = checked(record, {key: Field(TEXT, (ITEMS,))})[key]
-        wanted = {_image_path(path.parent, name, f"{path}: {key}") for name in names}
+        wanted = {_image_path(path.parent, name, f"{path}: {key}", folder) for name in names}
         images = [
-            _image_path(path.parent, frame.get("file_path"), f"{path}: frame {k}")
+            _image_path(path.parent, frame.get("file_path"), f"{path}: frame {k}", folder)
             for k, frame in enumerate(frames)
         ]
         if unknown := wanted - set(images):
@@ -193,26 +216,26 @@ def _matrix(value: Any) -> np.ndarray:
 
 def parse_frame(
     record: Mapping[str, Any], given: Mapping[str, Any], root: Path, label: str,
-    before: np.ndarray, usual: tuple[int, int] | None = None,
+    before: np.ndarray, usual: tuple[int, int] | None = None, folders: Folders = (None, None),
 ) -> Frame:  # fmt: skip
     """Read one frame, ``given``, with the common values of ``record``.
 
-    Paths are relative to ``root``, the pose is multiplied by ``before`` (4, 4) from the left, and
-    ``usual`` is the size of a missing photograph.
+    Paths are relative to ``root`` or looked for in ``folders``, the pose is multiplied by
+    ``before`` (4, 4) from the left, and ``usual`` is the size of a missing photograph.
     """
     with refusing(label, "a frame needs transform_matrix, w, h, and fl_x or camera_angle_x"):
         known = checked({**record, **given}, FRAME)
-        image = _image_path(root, known["file_path"], label)
+        image = _image_path(root, known["file_path"], label, folders[0])
         size = width, height = _size(known, image, usual)
         fl_x, fl_y = _focal(known, "x", width), _focal(known, "y", height)
         if fl_x is None:
             raise ValueError("fl_x and camera_angle_x are missing")
-    cx, cy, masked = known["cx"], known["cy"], known["mask_path"]
+    cx, cy = known["cx"], known["cy"]
     with np.errstate(all="ignore"):  # the frame refuses infinite values
         return Frame(
             label=label,
             image=image,
-            mask=None if masked is None else safe_path(root, masked, label),
+            mask=_mask_path(root, known["mask_path"], label, folders[1], image),
             to_world=before @ _matrix(known["transform_matrix"]) @ OPENGL,
             focal=(fl_x, fl_x if fl_y is None else fl_y),
             center=(width / 2 if cx is None else cx, height / 2 if cy is None else cy),
@@ -253,7 +276,7 @@ def _has_size(known: Mapping[str, Any]) -> bool:
 
 
 def _default_size(
-    path: Path, record: Mapping[str, Any], frames: Sequence[Any]
+    path: Path, record: Mapping[str, Any], frames: Sequence[Any], folder: Path | None
 ) -> tuple[int, int] | None:
     """Return the size of the first photograph that exists, for frames without a size."""
     named = {
@@ -263,7 +286,9 @@ def _default_size(
     if _has_size(record) or not named:
         return None
     label = f"{path}: frame "
-    images = [_image_path(path.parent, name, f"{label}{index}") for index, name in named.items()]
+    images = [
+        _image_path(path.parent, name, f"{label}{index}", folder) for index, name in named.items()
+    ]
     first = next((image for image in images if image.is_file()), None)
     if first is not None:
         return open_image(first).size
@@ -281,13 +306,17 @@ def _focal(known: Mapping[str, Any], axis: str, side: int) -> float | None:
     return side / 2 / math.tan(angle / 2)
 
 
-def _image_path(root: Path, given: Any, label: str) -> Path:
+def _image_path(root: Path, given: Any, label: str, folder: Path | None) -> Path:
     """Return the path of a photograph; a path that ends in ``none`` if the frame has none."""
     if given is None:
         return root / "none"
-    path = safe_path(root, given, label)
-    if path.suffix.lower() in SUFFIXES:
-        return path
-    suffixes = (*SUFFIXES, *map(str.upper, SUFFIXES))
-    files = (path.with_name(path.name + suffix) for suffix in suffixes)
-    return next((file for file in files if file.is_file()), path)
+    has_suffix = isinstance(given, str) and Path(given).suffix.lower() in SUFFIXES
+    suffixes = ("",) if has_suffix else (*SUFFIXES, *map(str.upper, SUFFIXES))
+    return find_file(folder or root, given, label, suffixes, moved=folder is not None)
+
+
+def _mask_path(root: Path, given: Any, label: str, folder: Path | None, image: Path) -> Path | None:
+    """Return the path of a mask; in a folder, also by the name of its photograph."""
+    if given is not None:
+        return find_file(folder or root, given, label, moved=folder is not None)
+    return None if folder is None else find_mask(folder, Path(image.name))

@@ -31,7 +31,7 @@ FORMATS = {
     "owl": "objects_with_lighting",
 }
 AUTO = "auto"
-FOLDERS = ("colmap", "llff", "idr")  # formats that contain no paths of photographs and masks
+FOLDERS = ("transforms", "colmap", "llff", "idr")  # formats without a fixed layout of files
 TABLES = ("llff", "idr")  # formats whose file may lie next to files of other formats
 
 if not TYPE_CHECKING:
@@ -45,9 +45,11 @@ class ReadOptions:
     format: Format = AUTO
     """Format of the source; auto detects it. Set it if the folder contains several formats."""
     images: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the photographs (default: images or image near the poses)."""
+    """Folder of the photographs, except for data sets with a fixed layout (default: paths in
+    transforms.json; images or image near the poses)."""
     masks: Path | None = None
-    """COLMAP, LLFF, IDR: folder of the masks (default: masks or mask near the poses, if any)."""
+    """Folder of the masks, except for data sets with a fixed layout (default: paths in
+    transforms.json; masks or mask near the poses, if any)."""
     split: str = "train"
     """Part of the data set: train, test or val, in files or lists of their own; X of
     transforms_X.json; all, without regard to lists. Stanford-ORB: train, test, or the name of
@@ -99,8 +101,8 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         )
     if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(
-            f"--images and --masks are for COLMAP, LLFF and IDR, but {path} is read as {kind}, "
-            "which names its photographs and masks itself."
+            f"--images and --masks are for transforms.json, COLMAP, LLFF and IDR, but {path} is "
+            f"read as {kind}, whose files have fixed names; omit them."
         )
     source: Source = _reader(kind).read(path, options)
     others = [

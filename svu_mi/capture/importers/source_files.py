@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
@@ -16,30 +18,144 @@ from svu_mi.errors import CaptureError, excerpt
 LONGEST_PATH = 2048  # bytes
 CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # invalid in names, and executed by terminals
 SHOWN = 60  # characters of a name in a message
+NO_NAME = "not a valid file name; rename the file."
+TAIL = 4  # last parts of a path of another machine that are looked for
 LARGEST_TEXT = 2**24  # bytes
 
 
 def safe_path(root: Path, name: Any, label: str) -> Path:
-    r"""Return the path of a file from its name relative to a folder; it need not exist.
+    r"""Return the path of a file from its name, which is absolute or relative to a folder.
 
-    ``\`` also separates folders, as on Windows. Links are allowed: the owner of the folder made
-    them. Other paths outside of the folder raise CaptureError. ``label`` (file and frame) begins
-    its message.
+    The file need not exist. ``\`` also separates folders, as on Windows. Links are allowed: the
+    owner of the folder made them. Paths that lead out of the folder raise CaptureError, whose
+    message begins with ``label`` (file and frame).
     """
+    parts = _parts(root, name, label)
+    base = os.path.abspath(root)
+    full = os.path.normpath(os.path.join(base, *parts))
+    if PureWindowsPath(name).drive or not Path(full).is_relative_to(base):
+        raise CaptureError(
+            f"{label}: {excerpt(ascii(name), SHOWN)} lies outside {root}; move the file into it "
+            "and give its path relative to that folder."
+        )
+    path = root / Path(full).relative_to(base)
+    if path == root:
+        raise CaptureError(f"{label}: {excerpt(ascii(name), SHOWN)} is {NO_NAME}")
+    return path
+
+
+def find_file(
+    root: Path, name: Any, label: str, suffixes: Sequence[str] = ("",), *, moved: bool = False
+) -> Path:
+    """Return the file with a name that another program or machine may have written.
+
+    It is the file at ``safe_path``, or one whose name differs only in case or Unicode form. The
+    last parts of names that lead out of the folder (with ``moved``: of all names) are also looked
+    for below the folder and its subfolders. Without a match the result is ``safe_path``, which
+    may raise CaptureError. Use ``substitutions`` to report other places.
+    """
+    parts = [part for part in _parts(root, name, label) if part not in ("/", "//", "..")]
+    if PureWindowsPath(name).drive:
+        parts = [*PureWindowsPath(name).parts[1:]] or parts
+    try:
+        given = safe_path(root, name, label)
+    except CaptureError:
+        given = None
+    if given is not None:
+        found = _existing(root, given.relative_to(root).parts, suffixes)
+        if found is not None or not moved:
+            return found or given
+    tails = [parts[-count:] for count in range(min(len(parts), TAIL), 0, -1)]
+    for folders in ([root], _folders(root)):
+        for tail in tails:
+            every = [_existing(folder, tail, suffixes) for folder in folders]
+            files = [file for file in every if file is not None]
+            if len(files) == 1:
+                return files[0]
+    return safe_path(root, name, label) if given is None else given
+
+
+def substitutions(label: str, root: Path, pairs: Sequence[tuple[str, Path]]) -> list[str]:
+    """Return a sentence about files that are not where their names say.
+
+    Args:
+        label: name of the file that contains the names.
+        root: folder that names are relative to.
+        pairs: names, and the files that ``find_file`` returned for them.
+
+    Raises:
+        CaptureError: two names lead to the same file.
+    """
+    others = [(name, file) for name, file in pairs if not _is_at(root, name, file)]
+    if not others:
+        return []
+    owner: dict[Path, str] = {}
+    for name, file in pairs:
+        if owner.setdefault(file, name) != name:
+            raise CaptureError(
+                f"{label}: {excerpt(ascii(owner[file]), SHOWN)} and {excerpt(ascii(name), SHOWN)} "
+                f"would both be {file}; move the files to the paths in {label}."
+            )
+    name, file = others[0]
+    return [
+        f"{label}: {len(others)} of {len(pairs)} files are not at the given paths, first "
+        f"{excerpt(ascii(name), SHOWN)}; {relative_name(root, file)} is used."
+    ]
+
+
+def _parts(root: Path, name: Any, label: str) -> tuple[str, ...]:
+    """Return the parts of a name, as a path; raise CaptureError if it is no name of a file."""
     if not isinstance(name, str):
         raise CaptureError(f"{label}: a file's name must be text, got a {type(name).__name__}.")
-    shown = excerpt(ascii(name), SHOWN)
     parts = PurePosixPath(os.path.normpath(name.replace("\\", "/"))).parts
-    if PureWindowsPath(name).drive or name.startswith(("/", "\\")) or ".." in parts[:1]:
-        raise CaptureError(
-            f"{label}: {shown} lies outside {root}; move the file into it and give its "
-            "path relative to that folder."
-        )
-    path = root.joinpath(*parts)
-    is_short = all(map(fits_file_name, parts)) and len(os.fsencode(path)) <= LONGEST_PATH
+    is_short = all(map(fits_file_name, parts)) and len(os.fsencode(root / name)) <= LONGEST_PATH
     if not name or not parts or not is_short or CONTROL.search("".join(parts)):
-        raise CaptureError(f"{label}: {shown} is not a valid file name; rename the file.")
-    return path
+        raise CaptureError(f"{label}: {excerpt(ascii(name), SHOWN)} is {NO_NAME}")
+    return parts
+
+
+def _existing(folder: Path, parts: Sequence[str], suffixes: Sequence[str]) -> Path | None:
+    """Return the file with exactly this name, else the only one that is equal but for its form."""
+    path = folder.joinpath(*parts)
+    exact = (path.with_name(path.name + suffix) for suffix in suffixes)
+    found = next((file for file in exact if file.is_file()), None)
+    if found is not None:
+        return found
+    *above, last = parts
+    for part in above:
+        if not (folder / part).is_dir():
+            similar = [child for child in _folders(folder) if _form(child.name) == _form(part)]
+            if len(similar) != 1:
+                return None
+            part = similar[0].name
+        folder = folder / part
+    forms = {_form(last + suffix) for suffix in suffixes}
+    siblings = [file for file in _children(folder) if _form(file.name) in forms and file.is_file()]
+    return siblings[0] if len(siblings) == 1 else None
+
+
+def _form(name: str) -> str:
+    """Return a name without case, in one form of Unicode."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def _children(folder: Path) -> list[Path]:
+    with contextlib.suppress(OSError):
+        return sorted(folder.iterdir())
+    return []
+
+
+def _folders(folder: Path) -> list[Path]:
+    return [child for child in _children(folder) if child.is_dir()]
+
+
+def _is_at(root: Path, name: str, file: Path) -> bool:
+    """Return whether a file is at its name, apart from a suffix that the name lacks."""
+    try:
+        given = safe_path(root, name, "")
+    except CaptureError:
+        return False
+    return file.parent == given.parent and file.name.startswith(given.name)
 
 
 def relative_name(root: Path, file: Path) -> str:

@@ -291,8 +291,8 @@ TEXT = {
     "no rotation": ({"images": VIEW_LINE.replace("1 1 0", "1 0 0")}, "a unit quaternion"),
     "far away": ({"images": VIEW_LINE.replace("4", "1e12")}, "1e.12 units .* than 1e.09"),
     "twice": ({"images": f"{VIEW_LINE}\n\n{VIEW_LINE}"}, "occurs twice"),
-    "a name above": ({"images": VIEW_LINE.replace("a.png", "../a.png")}, "lies outside"),
-    "a name elsewhere": ({"images": VIEW_LINE.replace("a.png", "/a.png")}, "lies outside"),
+    "a name above": ({"images": VIEW_LINE.replace("a.png", "../b.png")}, "lies outside"),
+    "a name elsewhere": ({"images": VIEW_LINE.replace("a.png", "/b.png")}, "lies outside"),
     "an endless name": ({"images": VIEW_LINE.replace("a.png", "a" * 600)}, "too long"),
 }
 

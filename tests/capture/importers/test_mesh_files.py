@@ -843,9 +843,12 @@ def test_a_stray_file_beside_a_model_is_none_of_its_parts(tmp_path):
     assert read_source(tmp_path).format == "colmap"
 
 
-def test_folders_that_a_format_has_no_use_for(tmp_path):
-    with pytest.raises(OptionError, match="for COLMAP.*read as transforms"):
-        read_source(transforms(tmp_path), ReadOptions(masks=tmp_path))
+def test_folders_that_a_format_has_no_use_for(tmp_path, monkeypatch):
+    source = Source(format="orb", root=tmp_path, frames=())
+    mine = SimpleNamespace(recognises=lambda path, _: path.is_dir(), read=lambda *_: source)
+    monkeypatch.setitem(sys.modules, "svu_mi.capture.importers.stanford_orb", mine)
+    with pytest.raises(OptionError, match="for transforms.json.*read as stanford-orb, whose files"):
+        read_source(tmp_path, ReadOptions(masks=tmp_path))
 
 
 def test_the_model_that_nerfstudio_keeps(tmp_path):

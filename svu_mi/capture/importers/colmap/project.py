@@ -23,7 +23,13 @@ from svu_mi.capture.importers.colmap.sparse_model import (
     read_points,
 )
 from svu_mi.capture.importers.source import OPENCV, Frame, Source
-from svu_mi.capture.importers.source_files import find_folder, find_mask, missing_folder, safe_path
+from svu_mi.capture.importers.source_files import (
+    find_file,
+    find_folder,
+    find_mask,
+    missing_folder,
+    substitutions,
+)
 from svu_mi.capture.sensors import affine
 from svu_mi.errors import CaptureError, excerpt
 
@@ -95,13 +101,15 @@ def read(path: Path, options: ReadOptions) -> Source:
             size=(camera.width, camera.height),
             lens=lens,
         ))  # fmt: skip
+    pairs = [(view.name, f) for view, f in zip(project.views, project.photographs, strict=True)]
+    moved = substitutions(str(project.model), project.images, pairs)
     return Source(
         format="colmap",
         root=path,
         frames=frames,
         camera_axes=OPENCV,
         points=read_points(project.model),
-        notes=list(_notes(project)),
+        notes=[*_notes(project), *moved],
     )
 
 
@@ -130,7 +138,7 @@ def read_project(
     if images is None:
         raise missing_folder(IMAGES, model / IMAGES)
     masks = find_folder(MASKS, masks, _possible_folders(model, MASKS))
-    files = [safe_path(images, view.name, _label(model, view)) for view in views]
+    files = [find_file(images, view.name, _label(model, view)) for view in views]
     missing = [file for file in files if not file.is_file()]
     if missing and not (partly and len(missing) < len(files)):
         raise CaptureError(
