@@ -8,6 +8,7 @@ Probabilities are integrals over the grid's bins, and the entropy (Eq. 5) is com
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -171,7 +172,7 @@ class CalibratedKernel(Kernel):
         added: Any = np.float32(0)
         for name in self.spread:
             sd = self._own_moments(name, texels)[1]
-            scaled = 2 * np.pi * np.e * (sd * (len(self.grid.axes[name]) - 1)) ** 2
+            scaled = 2 * math.pi * math.e * (sd * (len(self.grid.axes[name]) - 1)) ** 2
             rise = np.log((1 + self._factors(name, sd) ** 2 * scaled) / (1 + scaled)) / 2
             added = added + rise.mean(axis=1, dtype=np.float32)
         return added
