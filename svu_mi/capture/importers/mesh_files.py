@@ -15,20 +15,25 @@ import trimesh
 from PIL import Image, UnidentifiedImageError
 
 from svu_mi.capture.image_formats.recognition import SUFFIXES as IMAGE_SUFFIXES
+from svu_mi.capture.importers.gltf_extensions import readable
 from svu_mi.capture.importers.mesh_materials import (
     FREE,
     GLTF,
     Textures,
     check_gltf,
+    header_of,
     ignored_in_gltf,
     ignored_in_obj,
     is_textured,
     load_pictures,
     png_of,
     textures_of,
+    unread_textures,
+    with_header,
 )
+from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
-from svu_mi.capture.importers.source_files import safe_path
+from svu_mi.capture.importers.source_files import find_file, substitutions
 from svu_mi.capture.mesh import MeshArrays, check_buffers, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
@@ -38,6 +43,7 @@ CONVERTED = set(IMAGE_SUFFIXES) - set(PICTURES)
 # As in Mitsuba's plugin, unless a comment names a texture, as in files of MeshLab and scanners.
 # trimesh returns V upwards for other formats.
 V_DOWN = (".ply",)
+MTL = ".mtl"
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
 LEFT_OUT = (
@@ -70,8 +76,8 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         geometry_only: True to ignore UVs, textures and the number of materials.
     """
     path = Path(path)
-    files = _FolderResolver(path.parent)
-    parts = _read_parts(path, files, geometry_only)
+    files = _FolderResolver(path.parent, geometry_only)
+    parts, of_parts = _read_parts(path, files, geometry_only)
     painted = {part.material: part for part in parts if part.material is not None}
     several = len(painted) > 1
     if several and not geometry_only and any(is_textured(part.visual) for part in parts):
@@ -91,13 +97,17 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         tile = np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
         mesh = replace(mesh, uvs=uvs - tile)
     mesh, notes = repair_normals(mesh, str(path))
+    notes += [*of_parts, *substitutions(str(path), path.parent, list(files.found.items()))]
     if files.missing:
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
     if not geometry_only:
         names = [name for part in parts for name in ignored_in_obj(part.visual)]
+        names += ["vertex colours" for part in parts if part.visual.kind in ("vertex", "face")]
         if path.suffix.lower() in GLTF:
             with _parser_errors(path):
                 names = ignored_in_gltf(path)
+                unread = unread_textures(path, [part.visual for part in parts])
+            notes += [f"{path}: its {name} could not be read; it is white." for name in unread]
         listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
         notes += [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
@@ -178,8 +188,10 @@ def _own_normals(part: Any) -> np.ndarray | None:
     return own.T if own.shape[1] == len(part.vertices) else None
 
 
-def _read_parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list[_Part]:
-    """Return the triangle meshes of a file."""
+def _read_parts(
+    path: Path, files: _FolderResolver, geometry_only: bool
+) -> tuple[list[_Part], list[str]]:
+    """Return the triangle meshes of a file, and notes."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a supported mesh format ({', '.join(SUFFIXES)}).")
     if not path.is_file():
@@ -187,10 +199,17 @@ def _read_parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list
     held = path.stat().st_size
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
+    given: dict[str, Any] = {"file_obj": path}
+    notes: list[str] = []
     with _parser_errors(path):
         if path.suffix.lower() in GLTF:
             held = check_gltf(path, geometry_only=geometry_only)
-        scene = trimesh.load_scene(path, resolver=files, process=False)
+            header = header_of(path)
+            record, notes = readable(str(path), header, geometry_only=geometry_only)
+            if record != header:
+                given["file_obj"] = with_header(path, record)
+                given["file_type"] = path.suffix.lower()[1:]
+        scene = trimesh.load_scene(**given, resolver=files, process=False)
         placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         if sum(len(part.vertices) for part in placed) > max(FREE, held):
             raise MeshError(f"{path}: has too many instances of parts; bake them into one mesh.")
@@ -200,7 +219,7 @@ def _read_parts(path: Path, files: _FolderResolver, geometry_only: bool) -> list
         raise MeshError(f"{path}: {excerpt(files.refused[0])}")
     if not parts:
         raise MeshError(f"{path}: contains no triangle mesh; export one.")
-    return parts
+    return parts, notes
 
 
 @contextlib.contextmanager
@@ -223,31 +242,41 @@ def _parser_errors(path: Path) -> Iterator[None]:
 class _FolderResolver(trimesh.resolvers.Resolver):
     """Access of trimesh to files in the folder of a mesh.
 
-    trimesh continues without unreadable materials, so errors are collected in ``refused`` and names
-    of missing files in ``missing``.
+    trimesh continues without unreadable materials, so errors are collected in ``refused``, names
+    of missing files in ``missing``, and files by their names in ``found``.
     """
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: Path, geometry_only: bool) -> None:
+        self.root, self.geometry_only = root, geometry_only
+        self.found: dict[str, Path] = {}
         self.refused: list[str] = []
         self.missing: list[str] = []
 
     def get(self, name: str) -> bytes:
         """Return the content of a file; glTF encodes a space in its name as %20."""
+        name = str(name).strip().strip('"')
+        if self.geometry_only and Path(name).suffix.lower() in {*PICTURES, *CONVERTED, MTL}:
+            raise FileNotFoundError(f"{name} is not needed")
         try:
-            path = safe_path(self.root, str(name).strip(), str(self.root))
+            path = find_file(self.root, name, str(self.root), moved=True)
             if not path.is_file():
-                path = safe_path(self.root, unquote(str(name).strip()), str(self.root))
+                path = find_file(self.root, unquote(name), str(self.root), moved=True)
             if not path.is_file():  # missing, or a folder, pipe or device
                 self.missing.append(path.name)
                 raise FileNotFoundError(f"no file {path.name}")
+            self.found[name] = path
+            if path.suffix.lower() == MTL:
+                text = path.read_text(encoding="utf-8", errors="surrogateescape")
+                return "\n".join(rewritten(text)).encode(errors="surrogateescape")
             if path.suffix.lower() in PICTURES:
                 with Image.open(path):
                     pass  # checks the header; the pixels are decoded later
             if path.suffix.lower() in CONVERTED:
                 return png_of(path)  # trimesh would ignore it
             return path.read_bytes()
-        except (CaptureError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+        except (
+            CaptureError, UnidentifiedImageError, Image.DecompressionBombError, ValueError
+        ) as error:  # fmt: skip
             self.refused.append(str(error))
             raise OSError(str(error)) from error
 

@@ -20,7 +20,8 @@ from PIL import Image
 from trimesh.visual.material import empty_material
 
 from svu_mi.capture.image_io import decoded, open_image, quantized, srgb
-from svu_mi.capture.importers.source_files import safe_path
+from svu_mi.capture.importers.gltf_extensions import refuse_extensions, used_textures
+from svu_mi.capture.importers.source_files import find_file
 from svu_mi.core.io.files import replacing
 from svu_mi.core.io.schema import ITEMS, WHOLE, Field, checked
 from svu_mi.errors import MeshError, excerpt
@@ -37,9 +38,6 @@ IGNORED = {
 Textures = Mapping[str, np.ndarray]
 
 GLTF = (".glb", ".gltf")
-COMPRESSION = (
-    "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression",
-)  # fmt: skip
 TRANSFORM = "KHR_texture_transform"
 IDENTITY = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # without effect
 FLOAT = 5126
@@ -152,10 +150,8 @@ def _rgb(picture: Any) -> np.ndarray:
 
 def check_gltf(path: Path, *, geometry_only: bool) -> int:
     """Return the size of a glTF and its buffers in bytes; raise for unsupported features."""
-    record = _header(path)
-    for name in COMPRESSION:
-        if name in record.get("extensionsRequired", ()):
-            raise MeshError(f"{path}: is compressed ({name}); export it without compression.")
+    record = header_of(path)
+    refuse_extensions(str(path), record, geometry_only=geometry_only)
     held = _file_bytes(path, record)
     known = checked(record, HEADER)
     _refuse_bombs(path, record, [accessor["count"] for accessor in known["accessors"]], held)
@@ -183,7 +179,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
 
 def ignored_in_gltf(path: Path) -> list[str]:
     """Return the names of ignored parts of a glTF's materials, such as ``a normal map``."""
-    record = _header(path)
+    record = header_of(path)
     materials = record.get("materials", [])
     primitives = _primitives(record)
     used = [materials[p["material"]] for p in primitives if "material" in p]
@@ -201,7 +197,7 @@ def _primitives(record: Mapping[str, Any]) -> list[Any]:
     return [p for mesh in record.get("meshes", ()) for p in mesh["primitives"]]
 
 
-def _header(path: Path) -> dict[str, Any]:
+def header_of(path: Path) -> dict[str, Any]:
     """Return the JSON part of a glTF or GLB file."""
     if path.suffix.lower() == ".gltf":
         return dict(json.loads(path.read_bytes()))
@@ -210,11 +206,30 @@ def _header(path: Path) -> dict[str, Any]:
         return dict(json.loads(stream.read(length)))
 
 
+def with_header(path: Path, record: Mapping[str, Any]) -> io.BytesIO:
+    """Return the content of a glTF or GLB file with another JSON part."""
+    text = json.dumps(record).encode()
+    if path.suffix.lower() == ".gltf":
+        return io.BytesIO(text)
+    raw = path.read_bytes()
+    rest = raw[20 + struct.unpack_from("<I", raw, 12)[0] :]
+    text += b" " * (-len(text) % 4)
+    lengths = struct.pack("<II", 20 + len(text) + len(rest), len(text))
+    return io.BytesIO(raw[:8] + lengths + b"JSON" + text + rest)
+
+
+def unread_textures(path: Path, visuals: Sequence[Any]) -> list[str]:
+    """Return the names of textures in a glTF that trimesh could not read."""
+    names = {name for m in header_of(path).get("materials", ()) for name in used_textures(m)}
+    known = [getattr(visual, "material", None) for visual in visuals]
+    return sorted(n for n in names if all(getattr(m, n, None) is None for m in known))
+
+
 def _file_bytes(path: Path, record: Mapping[str, Any]) -> int:
     """Return the size of the file and its buffers in bytes."""
     names = [buffer.get("uri", "data:") for buffer in record.get("buffers", ())]
     names = [unquote(name) for name in names if not name.startswith("data:")]
-    files = {path, *(safe_path(path.parent, name, str(path)) for name in names)}
+    files = {path, *(find_file(path.parent, name, str(path), moved=True) for name in names)}
     return sum(file.stat().st_size for file in files if file.is_file())
 
 

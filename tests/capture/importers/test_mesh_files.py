@@ -153,7 +153,8 @@ def moved(record: dict) -> None:
 
 GLTF = {
     quantised: "its TEXCOORD_0 is quantised", sparse: "its POSITION is quantised or sparse",
-    compressed: "is compressed .KHR_draco", moved: "moved or scaled by KHR_texture",
+    compressed: "requires KHR_draco_mesh.*gltf-transform copy",
+    moved: "moved or scaled by KHR_texture",
 }  # fmt: skip
 
 
