@@ -41,4 +41,5 @@ class Entropy(EstimateCommand, ResultCommand):
             summary = write_outputs(capture, result, place, run, pictures=self.pictures)
         warn_if_too_bright(result)
         predicted = result.prediction
-        return [summary.summary(), *([predicted.sentence()] if predicted else [])]
+        shown = [predicted.sentence()] if predicted and predicted.reliable else []
+        return [summary.summary(), *shown]

@@ -19,8 +19,8 @@ from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
 
-MARGIN = 0.02  # R^2 by which a sound model may predict worse than the means
-LEAST = 0.5  # smallest R^2 of a sound model
+MARGIN = 1.3  # largest ratio of the variances that a sound model and the means leave unexplained
+LEAST, GOOD = 0.5, 0.75  # R^2 below which a model is wrong, and above which it is sound
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,9 @@ class HeldOutPrediction:
 
     @property
     def reliable(self) -> bool:
-        """True if the model predicts about as well as the means or better, and most variance."""
-        return self.r2 >= max(self.r2_of_means - MARGIN, LEAST)
+        """True if the model explains most variance; in between, not much less than the means."""
+        worse = 1 - self.r2 > MARGIN * (1 - self.r2_of_means)
+        return self.r2 >= (GOOD if worse else LEAST)
 
     def sentence(self) -> str:
         """Return a sentence with both figures."""

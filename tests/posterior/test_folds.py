@@ -176,7 +176,7 @@ def test_photographs_that_were_left_out_are_predicted(capture, layout, estimates
 
 @pytest.mark.parametrize(
     ("values", "reliable"),
-    [((0.9, 0.8), True), ((0.79, 0.8), True), ((0.7, 0.8), False), ((0.3, -2.0), False)],
+    [((0.76, 0.9), True), ((0.7, 0.75), True), ((0.7, 0.8), False), ((0.4, -2.0), False)],
 )
 def test_reliable_models_predict_as_well_as_means(values, reliable):
     prediction = HeldOutPrediction(*values)
