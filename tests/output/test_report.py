@@ -22,6 +22,7 @@ from svu_mi.output.interval_summary import Intervals, IntervalSummary
 from svu_mi.output.object_views import front_and_right
 from svu_mi.output.report import report, report_pictures, report_plots, summary_text
 from svu_mi.output.report.turntable import Turntable
+from svu_mi.posterior.prediction import HeldOutPrediction
 from svu_mi.recovery.svbrdf_textures import uniform_textures
 
 VIEWS = 5
@@ -100,6 +101,14 @@ def page(capture, estimate, tmp_path, monkeypatch):
 
 def section(text, name):
     return re.search(rf'<section id="{name}">(.*?)</section>', text, re.DOTALL)[1]
+
+
+def test_unreliable_results_are_named_first(page, estimate):
+    wrong = replace(estimate, prediction=HeldOutPrediction(0.12, 0.61))
+    shown = page(estimate=wrong)
+    assert "Unreliable: held-out photographs are predicted with R^2 0.12" in shown
+    assert shown.index("Unreliable") < shown.index('<section id="photographs">')
+    assert "held-out" not in page()
 
 
 # --- In a browser -------------------------------------------------------------------------
