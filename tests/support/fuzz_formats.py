@@ -287,6 +287,23 @@ def _colmap(folder: Path, *, text: bool = False) -> None:
         (model / "points3D.txt").write_text("1 0.5 1 2 9 9 9 0.1 1 0\n2 3 -1 2 9 9 9 0.1 1 1\n")
 
 
+def _alicevision(folder: Path) -> None:
+    """Two views of one camera with numbers as text, as AliceVision writes them."""
+    _source(folder)
+    camera = {
+        "intrinsicId": "9", "width": f"{WIDTH}", "height": f"{HEIGHT}", "sensorWidth": "36",
+        "focalLength": "45", "pixelRatio": "1", "principalPoint": ["0", "0"], "type": "pinhole",
+        "distortionType": "radialk1", "distortionParams": ["-0.1"],
+    }  # fmt: skip
+    transform = {"rotation": [*"100010001"], "center": ["0", "1", "-2"]}
+    view = {"viewId": "1", "poseId": "1", "intrinsicId": "9", "path": "/home/view_0000.png"}
+    record = {
+        "version": ["1", "2", "6"], "views": [view] * 2, "intrinsics": [camera],
+        "poses": [{"poseId": "1", "pose": {"transform": transform, "locked": "0"}}],
+    }  # fmt: skip
+    (folder / "cameras.sfm").write_text(json.dumps(record))
+
+
 def _llff(folder: Path) -> None:
     for name in ("images/view_0000.png", "images/view_0001.png", "masks/view_0000.png"):
         (folder / name).parent.mkdir(exist_ok=True)
@@ -406,6 +423,7 @@ def _all_formats() -> Iterator[Format]:
         ("transforms-distorted", _distorted, "*.json", "."),
         ("colmap-binary", _colmap, "*.bin", "."),
         ("colmap-text", partial(_colmap, text=True), "*.txt", "."), ("owl", _owl, "*.txt", "test"),
+        ("alicevision", _alicevision, "*.sfm", "."),
         ("llff", _llff, "*.npy", "."), ("idr", _idr, "*.npz", "."),
         ("orb", _orb, "*_t*.json", "blender_HDR/ball_scene001"),
     ):  # fmt: skip

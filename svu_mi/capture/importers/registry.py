@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from svu_mi.capture.importers.foreign_formats import refuse_foreign
 from svu_mi.core.validation import require_known
 from svu_mi.errors import CaptureError, OptionError
 
@@ -20,10 +21,12 @@ if TYPE_CHECKING:
 
     Format = str
 
-# Module of each format, in the order of detection. Stanford-ORB also has transforms_train.json; the
-# COLMAP model next to tables of LLFF and IDR contains the lens.
+# Module of each format, in the order of detection. Stanford-ORB also has transforms_train.json;
+# AliceVision's file may be JSON, too; the COLMAP model next to tables of LLFF and IDR contains the
+# lens.
 FORMATS = {
     "stanford-orb": "stanford_orb",
+    "alicevision": "alicevision",
     "transforms": "nerf",
     "colmap": "colmap.project",
     "llff": "llff",
@@ -31,7 +34,13 @@ FORMATS = {
     "owl": "objects_with_lighting",
 }
 AUTO = "auto"
-FOLDERS = ("transforms", "colmap", "llff", "idr")  # formats without a fixed layout of files
+FOLDERS = (
+    "alicevision",
+    "transforms",
+    "colmap",
+    "llff",
+    "idr",
+)  # formats without a fixed layout of files
 TABLES = ("llff", "idr")  # formats whose file may lie next to files of other formats
 
 if not TYPE_CHECKING:
@@ -66,9 +75,10 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     """Read the cameras and the file paths of a capture that another tool made.
 
     Args:
-        path: file ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or
-            ``cameras.npz`` (IDR, NeuS), or the folder that contains it; or the folder of a COLMAP
-            project or model, a Stanford-ORB scene, or an object of Objects with Lighting.
+        path: file ``transforms.json``, ``cameras.sfm`` (Meshroom), ``poses_bounds.npy`` (LLFF),
+            ``cameras_sphere.npz`` or ``cameras.npz`` (IDR, NeuS), or the folder that contains it;
+            or the folder of a COLMAP project or model, a Stanford-ORB scene, or an object of
+            Objects with Lighting.
         options: options of reading; defaults if None.
 
     Raises:
@@ -91,18 +101,21 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
             f"{path}: no such file or folder; give that of a capture, such as my_colmap_project/."
         )
     recognised = kind == AUTO
+    if recognised and path.is_file():
+        refuse_foreign(path)
     if recognised:
         kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
     if kind == AUTO:
+        refuse_foreign(path)
         raise CaptureError(
             f"{path}: not a capture of a known format; give a folder that contains "
-            "transforms.json, a COLMAP model, poses_bounds.npy, cameras_sphere.npz, Stanford-ORB "
-            "or Objects with Lighting."
+            "transforms.json, cameras.sfm, a COLMAP model, poses_bounds.npy, cameras_sphere.npz, "
+            "Stanford-ORB or Objects with Lighting."
         )
     if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(
-            f"--images and --masks are for transforms.json, COLMAP, LLFF and IDR, but {path} is "
-            f"read as {kind}, whose files have fixed names; omit them."
+            "--images and --masks are for transforms.json, Meshroom, COLMAP, LLFF and IDR, but "
+            f"{path} is read as {kind}, whose files have fixed names; omit them."
         )
     source: Source = _reader(kind).read(path, options)
     others = [
