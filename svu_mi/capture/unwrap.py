@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import logging
 import os
 import re
+import subprocess
+import sys
+import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xatlas
 
+from svu_mi.capture import unwrap_process
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, read_ply, write_ply
 from svu_mi.core.io.files import clear_temporaries
 from svu_mi.errors import MeshError
@@ -22,7 +27,9 @@ log = logging.getLogger(__name__)
 UNWRAPPED = "unwrapped.ply"
 KEY = "svu_mi unwrapped "  # prefix of the digest in a comment of the file's header
 HEADER = 4096  # bytes; the header of the PLY file must be shorter
-MAX_CHART = 4096  # texels, for an atlas of about 1024; packing longer slivers does not end
+LARGE = 20_000  # faces, from which a mesh is unwrapped in pieces by another process
+PERIOD = 15.0  # seconds between two lines about the progress
+PACE = 10_000  # faces per second, about
 
 
 def unwrap(mesh: Any, label: str = "") -> Any:
@@ -33,14 +40,16 @@ def unwrap(mesh: Any, label: str = "") -> Any:
     source, label = arrays(mesh), label or f"Shape '{mesh.id()}'"
     if len(source.faces) == 0:
         raise MeshError(f"{label} has no faces, so it cannot be unwrapped.")
-    # Scaled to unit size: xatlas uses single precision and treats small triangles as degenerate.
     low, high = source.positions.min(axis=0), source.positions.max(axis=0)
     unit = (source.positions - low) / max(float((high - low).max()), 1e-300)
-    atlas, packing = xatlas.Atlas(), xatlas.PackOptions()
-    packing.max_chart_size = MAX_CHART
-    atlas.add_mesh(unit.astype(np.float32), source.faces.astype(np.uint32))
-    atlas.generate(pack_options=packing)
-    vmap, faces, uvs = atlas.get_mesh(0)
+    is_large = len(source.faces) > LARGE
+    if is_large:
+        log.warning(
+            "%s: UVs of %d faces are computed, which takes about %.0f s.",
+            label, len(source.faces), len(source.faces) / PACE,
+        )  # fmt: skip
+    layout = _layout_of_large if is_large else unwrap_process.layout
+    vmap, faces, uvs = layout(unit, source.faces)
     if len(faces) != len(source.faces) or not np.isfinite(uvs).all():
         raise MeshError(
             f"{label} cannot be unwrapped automatically; give it UVs in a modelling tool and load "
@@ -49,8 +58,32 @@ def unwrap(mesh: Any, label: str = "") -> Any:
     normals = None if source.normals is None else source.normals[vmap]
     return make_mesh(
         mesh.id(),
-        MeshArrays(source.positions[vmap], faces.astype(np.int64), normals, uvs.astype(np.float64)),
+        MeshArrays(source.positions[vmap], faces, normals, uvs),
     )
+
+
+def _layout_of_large(
+    points: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Run ``unwrap_process`` and print its progress; Ctrl-C ends it, too."""
+    with tempfile.TemporaryDirectory(prefix="svu-unwrap-") as folder:
+        given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
+        np.savez(given, points=points, faces=faces)
+        words = [sys.executable, "-m", unwrap_process.__name__, str(given), str(made)]
+        start = time.monotonic()
+        with subprocess.Popen(words) as process:
+            try:
+                while process.poll() is None:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        process.wait(PERIOD)
+                        break
+                    log.warning("Computing UVs: %.0f s.", time.monotonic() - start)
+            finally:
+                process.kill()
+        if not made.is_file():  # killed, or out of memory
+            return np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((0, 2))
+        with np.load(made) as result:
+            return result["vmap"], result["faces"], result["uvs"]
 
 
 def unwrap_cached(mesh: Any, folder: Path | None) -> Any:

@@ -38,6 +38,7 @@ from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerfstudio_world import find_normalisation, in_world_of_poses
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
+from svu_mi.capture.importers.simplify_mesh import simplify
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.importers.source_files import relative_name
 from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward
@@ -154,6 +155,9 @@ class ImportPlan:
         """Read the mesh, correct and scale it, and compute missing UVs."""
         label, options = self.mesh, self.options
         geometry = read_textured_mesh(label, geometry_only=options.geometry_only)
+        if options.faces is not None:
+            small, fewer = simplify(geometry.mesh, options.faces, label)
+            geometry = replace(geometry, mesh=small, notes=[*geometry.notes, *fewer])
         sensors = [square_pixel_frame(frame)[0].sensor() for frame in self.frames]
         mesh, notes = self._in_world_of_poses(geometry.mesh, sensors)
         for fix in self.fixes:

@@ -106,7 +106,8 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         if path.suffix.lower() in GLTF:
             with _parser_errors(path):
                 names = ignored_in_gltf(path)
-                unread = unread_textures(path, [part.visual for part in parts])
+                visuals = [part.visual for part in parts]
+                unread = [] if files.missing else unread_textures(path, visuals)
             notes += [f"{path}: its {name} could not be read; it is white." for name in unread]
         listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
         notes += [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
