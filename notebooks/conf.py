@@ -31,7 +31,12 @@ include_patterns = ["*.md", *(f"notebooks/{kind}" for kind in ("*.md", "*.rst", 
 exclude_patterns = [".*", "build", "dist", "out", "scenes", "svu_mi", "tests"]
 nb_execution_mode = "off"  # notebooks are stored executed
 myst_heading_anchors = 4
-html_theme_options = {"page_width": "80em", "body_max_width": "60em", "sidebar_width": "16em"}
+SANS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"
+html_theme_options = {  # narrower windows than page_width have no navigation
+    "page_width": "1160px", "body_max_width": "none", "sidebar_width": "250px",
+    "font_family": SANS, "head_font_family": SANS, "font_size": "16px",
+}  # fmt: skip
+html_static_path = ["custom.css"]  # loaded by the theme
 toc_object_entries_show_parents = "hide"
 html_show_copyright = html_show_sphinx = False
 maximum_signature_line_length = 80

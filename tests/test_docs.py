@@ -98,3 +98,9 @@ def test_pages_need_no_network(pages):
     for name, page in pages.items():
         loaded = re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)"', page)
         assert not loaded, (name, loaded)
+
+
+def test_windows_of_1280_pixels_have_navigation(build):
+    """In narrower windows than this, the theme moves it below the page."""
+    css = (build / "_static" / "alabaster.css").read_text(encoding="utf-8")
+    assert int(re.search(r"media screen and \(max-width: (\d+)px\)", css)[1]) <= 1200

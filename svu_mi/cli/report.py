@@ -40,7 +40,7 @@ class Report(EstimateCommand):
     output: Page = Path("report.html")
     overwrite: opt.Overwrite = False
     title: str | None = None
-    """Title of the page (default: name of the folder of photographs)."""
+    """Title of the page (default: name of the object, or of the folder of photographs)."""
 
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""

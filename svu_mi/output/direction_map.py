@@ -23,13 +23,14 @@ LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are 
 
 
 def draw_directions(
-    axes: Axes, capture: Capture, guidance: Guidance, *, up: tuple[float, float, float] = UP
-) -> ScalarMappable:
+    axes: Axes, capture: Capture, guidance: Guidance, *, up: tuple[float, float, float] = UP,
+    factor: float = 1.0,
+) -> ScalarMappable:  # fmt: skip
     """Draw all candidates on a map of the directions around the object.
 
     An equal-area map (Hammer projection) seen from outside, with ``up`` at the top; the first
     photograph is in the middle column. Candidates are dots (hollow if unreachable), used
-    photographs are crosses, and proposals have their rank.
+    photographs are crosses, and proposals have their rank. Colours are ``factor`` times the scores.
 
     Returns:
         ``ScalarMappable`` with the candidates' colours, for ``figure.colorbar``.
@@ -38,7 +39,7 @@ def draw_directions(
     used = directions_of(capture.used_sensors, center)
     frame = viewing_frame(np.array(up, np.float64), used[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
-    gains, reachable = guidance.scores, guidance.candidates.reachable
+    gains, reachable = factor * guidance.scores, guidance.candidates.reachable
     drawn = style.scalar_mappable(color_range(gains[reachable]))
     _graticule(axes)
     width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +16,11 @@ from svu_mi.core.identifiers import plain_name
 from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style
-from svu_mi.output.direction_map import color_range, draw_directions, draw_numbered
+from svu_mi.output.direction_map import draw_directions, draw_numbered
 from svu_mi.output.html import grouped
 from svu_mi.output.object_views import UP
 from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
-from svu_mi.output.style import INFORMATION_GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
+from svu_mi.output.style import INFORMATION_GAIN_COLORS, INK, LEFT, MARK, RIGHT, RULE, UNSEEN, Block
 from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -32,11 +32,9 @@ if TYPE_CHECKING:
 SIZE = (18.0, 11.2)  # inches
 HEADING = "Proposed views for the next photographs"
 # Direction map, expected entropy, ranking: left, right, bottom, top as fractions of the page.
-PLACES = ((LEFT, 0.473, 0.51, 0.865), (0.535, 0.73, 0.545, 0.875), (0.79, RIGHT, 0.545, 0.875))
-LINE, LINES = 12, 9  # points between stacked rank numbers, and their largest number
+PLACES = ((LEFT, 0.473, 0.5, 0.85), (0.535, 0.73, 0.535, 0.86), (0.79, RIGHT, 0.535, 0.86))
 SHOWN = 5  # proposals drawn on the object
 WHITE = 0.99  # quantile of the positive gains at the upper end of the colours
-CROWDED = 0.04  # smallest distance of two numbers side by side, as a fraction of the candidates
 
 
 def proposal_views(capture: Capture, guidance: Guidance) -> list[ObjectView]:
@@ -67,10 +65,9 @@ def write_guidance_overview(
         for rank, (look, one) in enumerate(zip(looks, shown, strict=False), 1)
     ]  # fmt: skip
     sights.append(("", partial(_draw_texture, estimate=estimate, words="entropy, texture space")))
-    sights += [None] * (SHOWN - len(shown))
     sights += [
         ("", partial(_draw_view, look=look, colors=map_colors(everywhere, gains, **scale),
-                     words=_caption(one), row="expected gain" if k == 0 else ""))
+                     words=_caption(one, guidance.entropy), row="expected gain" if k == 0 else ""))
         for k, (look, gains, one) in enumerate(zip(looks, maps, shown, strict=False))
     ]  # fmt: skip
     gained = partial(_draw_texture, estimate=everywhere, values=first, **scale)
@@ -83,7 +80,7 @@ def write_guidance_overview(
     ]  # fmt: skip
     blocks = [Block(panels=[plot], box=box) for plot, box in zip(plots, PLACES, strict=True)]
     blocks.append(Block(
-        panels=sights, shape=(2, SHOWN + 1), box=(LEFT + 0.012, RIGHT, 0.01, 0.42),
+        panels=sights, shape=(2, len(shown) + 1), box=(LEFT + 0.012, 0.955, 0.01, 0.41),
         space=(0.1, 0.2), anchor="N",
     ))  # fmt: skip
     style.write_page(path, SIZE, HEADING, _notes(capture, estimate, guidance), blocks)
@@ -107,7 +104,6 @@ def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
     style.caption(axes, words)
-    axes.set_anchor("NW")
 
 
 def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str]:
@@ -128,10 +124,10 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
 def _directions(
     axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float]
 ) -> None:
-    colors = draw_directions(axes, capture, guidance, up=up)
+    factor, unit = score_unit(guidance)
+    colors = draw_directions(axes, capture, guidance, up=up, factor=factor)
     style.title(axes, "Directions of photographs and candidates", pad=34)
-    label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
-    style.color_bar(axes, colors, label, (0.2, -0.06, 0.6, 0.028))
+    style.color_bar(axes, colors, f"as the next photograph: {unit}", (0.2, -0.06, 0.6, 0.028))
 
 
 def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
@@ -164,25 +160,28 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     """Draw the scores of all reachable candidates, best first."""
     from matplotlib.ticker import MaxNLocator
 
-    order = guidance.ranking
-    gains = guidance.scores[order]
-    colors = style.colors(gains, color_range(gains))
-    axes.bar(np.arange(1, len(order) + 1), gains, width=1 if len(order) > 60 else 0.9, color=colors)
-    low, top = min(float(gains.min()), 0), 1.2 * float(max(gains.max(), 1e-9))
-    tall = axes.get_window_extent().height * 72 / axes.figure.dpi  # points
-    for place, gain, rank, line in _labels(order, gains, guidance.proposals):
-        above = 3 + LINE * line
-        axes.annotate(
-            str(rank), (place, gain), xytext=(0, above), ha="center", va="bottom",
-            textcoords="offset points", size=9.5, weight="bold", color=INK,
-        )  # fmt: skip
-        top = max(top, low + (gain - low) / max(1 - (above + LINE) / tall, 0.5))
-    axes.set(xlim=(0.25, len(order) + 0.75), ylim=(low, top))
+    order, (factor, unit) = guidance.ranking, score_unit(guidance)
+    scores = factor * guidance.scores[order]
+    proposed = np.isin(order, [one.candidate for one in guidance.proposals])
+    places, width = np.arange(1, len(order) + 1), 1 if len(order) > 60 else 0.9
+    for chosen, color, label in ((proposed, MARK, "proposals"), (~proposed, UNSEEN, "others")):
+        axes.bar(places[chosen], scores[chosen], width=width, color=color, label=label)
+    axes.set(xlim=(0.25, len(order) + 0.75), ylim=(min(scores.min(), 0), None))
     axes.axhline(0, color=RULE, lw=1)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    what = "gain" if guidance.options.strategy == "entropy" else "score"
-    style.labels(axes, "candidates, best first", what, 9.5)
+    style.legend(axes, loc="upper right")
+    style.labels(axes, "candidates, best first", unit, 9.5)
     style.minimal_axes(axes)
+
+
+def score_unit(guidance: Guidance) -> tuple[float, str]:
+    """Return the factor and the unit in which scores are drawn; percent if they are relative."""
+    strategy = guidance.options.strategy
+    if strategy == "entropy":
+        return 100 / max(guidance.entropy, 1e-9), "decrease of the mean entropy, %"
+    if strategy == "error":
+        return 100.0, "decrease of the mean squared error, %"
+    return 1.0, TABLE[strategy].unit
 
 
 def information_gain_limit(maps: np.ndarray) -> float:
@@ -222,34 +221,18 @@ def information_gain_colors() -> Colormap:
     return LinearSegmentedColormap.from_list("gain", INFORMATION_GAIN_COLORS)
 
 
-def _labels(
-    order: np.ndarray, gains: np.ndarray, proposals: Sequence[Proposal]
-) -> Iterator[tuple[int, float, int, int]]:
-    """Yield the label of each proposal: x and height of its bar, rank, and line of text.
-
-    Labels of adjacent bars are stacked above the first of them, in at most nine lines.
-    """
-    rank_of = {proposal.candidate: rank for rank, proposal in enumerate(proposals, 1)}
-    last, line, height = -np.inf, 0, 0.0
-    for place, (candidate, gain) in enumerate(zip(order, gains, strict=True), 1):
-        if int(candidate) not in rank_of:
-            continue
-        line = line + 1 if place - last < CROWDED * len(order) else 0
-        height = height if line else max(float(gain), 0.0)
-        if line < LINES:
-            yield place, height, rank_of[int(candidate)], line
-        last = place
-
-
 def _enlarged(sensor: Any) -> Any:
     """Return the sensor with a film of at least ``SIDE`` pixels on its longer side."""
     return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 
-def _caption(proposal: Proposal) -> str:
-    error = f" ± {proposal.error:.4f}" if proposal.error > 0 else ""
+def _caption(proposal: Proposal, entropy: float) -> str:
+    percent = 100 / max(entropy, 1e-9)
+    error = f" ± {percent * proposal.error:.1f}" if proposal.error > 0 else ""
     new = f", {100 * proposal.new:.0f} % new" if proposal.new >= 0.005 else ""
-    gain = f"{proposal.gain:.4f}{error}\n" if np.isfinite(proposal.gain) else ""
+    gain = ""
+    if np.isfinite(proposal.gain):
+        gain = f"lowers mean entropy by {percent * proposal.gain:.1f}{error} %\n"
     return f"{gain}sees {100 * proposal.sees:.0f} % of the texels{new}"
 
 

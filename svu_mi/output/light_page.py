@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,15 +14,20 @@ import numpy as np
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_light_arrays
 from svu_mi.calibration.light.light_summary import LightComparison, channel_factors
+from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
+from svu_mi.capture.up_direction import UP, up_direction
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.latlong import directions, radiance_from
-from svu_mi.output import style
+from svu_mi.output import object_views, style
 from svu_mi.output.interval_summary import plain_percent
+from svu_mi.output.rerender import compare_renders
 from svu_mi.output.run_record import RunInfo, environment_record, inputs_record, write_manifest
 from svu_mi.output.style import LEFT, RIGHT, Block
+from svu_mi.parameters import CHANNELS
+from svu_mi.recovery.svbrdf_textures import Textures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,10 +36,14 @@ if TYPE_CHECKING:
 
 PAGE = "light.png"
 HEADING = "Light estimated from the photographs"
-WIDTH, ROW, REST = 16.0, 5.0, 1.4  # inches: page width, height of a row, margins
+WIDTH, ROW, REST = 16.0, 5.0, 1.4  # inches: page width, height of a row of maps, margins
+PICTURES = 3.6  # inches: height of the pictures of the object
 GREY = 0.18  # screen value (linear) of the geometric mean radiance
 DARK = 1e-3  # lower bound of radiance, relative to the mean
+KNOWN_COLORMAP = f"{style.COLORMAP}_r"  # yellow is uncertain, as on all pages
 UNCERTAIN = 1.5  # upper end of the scale of log standard deviations
+GREY_PLASTIC = {"base_color": 0.2, "roughness": 0.25, "metallic": 0.0}  # material in these pictures
+POLE = 0.9999  # |y| from which a direction is drawn in the middle column
 AXIS = ((0.0, "-Z"), (0.25, "+X"), (0.5, "+Z"), (0.75, "-X"), (1.0, "-Z"))
 
 
@@ -76,40 +85,64 @@ def write_light_page(
     path: str | Path,
     against: LightComparison | None = None,
 ) -> None:
-    """Draw radiance, its logarithm, standard deviation and ``known`` as lat-long maps.
+    """Draw lat-long maps of radiance and its uncertainty, and the object under the light.
 
-    ``against`` adds the capture's own light.
+    ``against`` adds the capture's own light. A light that moves with the camera has no pictures.
     """
     truth, shape = None, estimate.radiance.shape
     if against is not None:
         world = directions(shape[1], shape[0]).reshape(-1, 3)
         truth = radiance_from(capture.environment, world).reshape(shape)
     tone = ToneCurve.of(estimate.radiance if truth is None else truth)
-    panels = _radiance_panels("Radiance", estimate.radiance, tone)
+    up = np.array(UP) if estimate.moves else up_direction(capture)
+    panels = _radiance_panels("Radiance", estimate.radiance, tone, up)
     if truth is not None:
-        panels += _radiance_panels("The capture's own light", truth, tone)
+        panels += _radiance_panels("The capture's own light", truth, tone, up)
     panels += [
         ("Standard deviation of the logarithm of radiance", partial(
-            _draw_scaled, values=estimate.sd, limits=(0, UNCERTAIN), colormap=style.VIEWS_COLORMAP,
+            _draw_scaled, values=estimate.sd, limits=(0, UNCERTAIN), up=up,
             label="0.1 is 10 %; includes the common scale")),
         ("Fraction determined by the photographs", partial(
-            _draw_scaled, values=estimate.known, limits=(0, 1), colormap=style.COLORMAP,
+            _draw_scaled, values=estimate.known, limits=(0, 1), colormap=KNOWN_COLORMAP, up=up,
             label="0 = prior only, 1 = fully determined")),
     ]  # fmt: skip
-    rows = len(panels) // 2
-    height = ROW * rows + REST
-    box = (LEFT + 0.012, RIGHT, 0.9 / height, 1 - 1.25 / height)
-    block = Block(panels=panels, shape=(rows, 2), box=box, space=(0.06, 0.34), anchor="N")
-    style.write_page(path, (WIDTH, height), HEADING, _notes(estimate, against), [block])
+    pictures = [] if estimate.moves else _lit_panels(capture, estimate)
+    rows, below = len(panels) // 2, PICTURES if pictures else 0.0
+    height = ROW * rows + REST + below
+    box = (LEFT + 0.022, RIGHT, (0.9 + below) / height, 1 - 1.25 / height)
+    blocks = [Block(panels=panels, shape=(rows, 2), box=box, space=(0.08, 0.34), anchor="N")]
+    if pictures:
+        box = (LEFT + 0.022, RIGHT, 0.1 / height, (PICTURES - 0.5) / height)
+        blocks.append(Block(panels=pictures, shape=(1, 4), box=box, space=(0.05, 0), anchor="NW"))
+    style.write_page(path, (WIDTH, height), HEADING, _notes(estimate, against), blocks)
 
 
-def _radiance_panels(title: str, radiance: np.ndarray, tone: ToneCurve) -> list[Panel]:
+def _lit_panels(capture: Capture, estimate: LightEstimate) -> list[Panel]:
+    """Return panels of two photographs and of the object in grey under the estimated light."""
+    grey = Textures.of({
+        name: np.full((2, 2, CHANNELS[name]), value, np.float32)
+        for name, value in GREY_PLASTIC.items()
+    })  # fmt: skip
+    views = object_views.distant_views(capture, np.ones(sum(capture.used)))  # of any coverage
+    panels: list[Panel] = []
+    for one in compare_renders(with_light(capture, estimate), grey, views, relit=False):
+        photograph, *_, lit = replace(one, relit=one.render).cropped()  # exposed for itself
+        panels += [
+            (f"Photograph {one.view}", partial(style.draw_image, image=photograph)),
+            ("Grey object in the estimated light", partial(style.draw_image, image=lit)),
+        ]
+    return panels
+
+
+def _radiance_panels(
+    title: str, radiance: np.ndarray, tone: ToneCurve, up: np.ndarray
+) -> list[Panel]:
     """Return panels of a map (H, W, 3): tone-mapped, and as logarithm."""
     return [
-        (title, partial(_draw_colors, colors=tone.colors(radiance))),
+        (title, partial(_draw_colors, colors=tone.colors(radiance), up=up)),
         (f"{title}, log scale", partial(
-            _draw_scaled, values=tone.stops(radiance), limits=tone.limits, colormap=style.COLORMAP,
-            label="powers of two, relative to middle grey")),
+            _draw_scaled, values=tone.stops(radiance), limits=tone.limits, up=up,
+            colormap=style.GREY, label="powers of two, relative to middle grey")),
     ]  # fmt: skip
 
 
@@ -152,12 +185,12 @@ def light_colors(radiance: np.ndarray) -> np.ndarray:
 
 def deviation_colors(estimate: LightEstimate) -> np.ndarray:
     """Return the map of standard deviations as screen colours (H, W, 3)."""
-    return style.colors(estimate.sd, (0, UNCERTAIN), style.VIEWS_COLORMAP)
+    return style.colors(estimate.sd, (0, UNCERTAIN))
 
 
 def known_colors(estimate: LightEstimate) -> np.ndarray:
     """Return ``LightEstimate.known`` as screen colours (H, W, 3)."""
-    return style.colors(estimate.known)
+    return style.colors(estimate.known, colormap=KNOWN_COLORMAP)
 
 
 def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str]:
@@ -172,24 +205,40 @@ def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str
     return notes
 
 
-def _draw_colors(axes: Axes, colors: np.ndarray) -> None:
+def _draw_colors(axes: Axes, colors: np.ndarray, up: np.ndarray) -> None:
     axes.imshow(colors, extent=(0, 1, 0, 0.5), interpolation="nearest")
-    _label_directions(axes)
+    _label_directions(axes, up)
 
 
 def _draw_scaled(
-    axes: Axes, values: np.ndarray, limits: tuple[float, float], colormap: str, label: str
-) -> None:
+    axes: Axes, values: np.ndarray, limits: tuple[float, float], up: np.ndarray, label: str,
+    colormap: str = style.COLORMAP,
+) -> None:  # fmt: skip
     drawn = axes.imshow(
         values, colormap, vmin=limits[0], vmax=limits[1], extent=(0, 1, 0, 0.5),
         interpolation="nearest",
     )  # fmt: skip
-    _label_directions(axes)
+    _label_directions(axes, up)
     style.color_bar(axes, drawn, label, (0.0, -0.16, 1.0, 0.035))
 
 
-def _label_directions(axes: Axes) -> None:
-    """Label the columns of a lat-long map with their directions."""
+def _label_directions(axes: Axes, up: np.ndarray) -> None:
+    """Label the axes of a lat-long map, and the directions ``up`` and down."""
     style.frame_map(axes)
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
+    axes.set_yticks((0, 0.5), ("-Y", "+Y"))
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
+    for name, direction in (("up", up), ("down", -up)):
+        x, y = map_place(direction)
+        axes.text(
+            np.clip(x, 0.03, 0.97), np.clip(y, 0.02, 0.48), name, size=style.TEXT, color=style.INK,
+            ha="center", va="center",
+            bbox={"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": style.RULE},
+        )  # fmt: skip
+
+
+def map_place(direction: np.ndarray) -> tuple[float, float]:
+    """Return x in [0, 1) and y in [0, 0.5], upwards, of a unit vector (3,) on a lat-long map."""
+    x, y, z = (float(value) for value in direction)
+    across = 0.5 if abs(y) > POLE else np.arctan2(x, -z) / (2 * np.pi) % 1
+    return float(across), 0.25 + float(np.arcsin(np.clip(y, -1, 1))) / (2 * np.pi)

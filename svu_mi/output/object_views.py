@@ -8,9 +8,12 @@ from typing import Any, Literal
 import numpy as np
 
 from svu_mi.capture.sensors import bounding_sphere, directions_of
+from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.capture.up_direction import NEAR_AXIS, UP
 from svu_mi.guidance.strategies import farthest
 
+COARSE = 128  # pixels of the longer side, to measure brightness
+GOOD = 0.8  # texels that a view sees, relative to the best view, from which it is shown first
 MARGIN = 0.06  # around the object, relative to its size
 Window = tuple[float, float, float, float]  # left, right, top, bottom, as fractions of the image
 
@@ -23,19 +26,32 @@ def distant_views(
 ) -> list[int]:
     """Return up to ``count`` used sensors that look from different directions.
 
-    The first result is the sensor that sees the most texels or, without ``seen_per_view``, the
-    first used sensor. Each further one has the largest angle to those already chosen. Sensors are
-    returned as indices into ``capture.sensors``.
+    The first result is the brightest photograph among those that see almost the most texels or,
+    without ``seen_per_view``, the first used one. Each further one has the largest angle to those
+    already chosen. Sensors are returned as indices into ``capture.sensors``.
     """
     used = [index for index, used in enumerate(capture.used) if used]
     if len(used) < 2:
         return used
     center, _ = bounding_sphere(capture.mesh)
-    first = 0 if seen_per_view is None else int(np.argmax(seen_per_view))
+    first = 0
+    if seen_per_view is not None:
+        seen = np.asarray(seen_per_view)
+        good = np.flatnonzero(seen >= GOOD * seen.max())
+        first = int(max(good, key=lambda k: _brightness(capture, used[k])))
     chosen = farthest(
         directions_of((capture.sensors[index] for index in used), center), [first], count - 1
     )
     return [used[index] for index in chosen]
+
+
+def _brightness(capture: Any, view: int) -> float:
+    """Return the mean screen value of a photograph, on the object if it has a mask."""
+    image, mask = capture.images[view], capture.masks[view] if capture.masks else None
+    step = -(-max(image.shape[:2]) // COARSE)
+    mask = None if mask is None else mask[::step, ::step]
+    shown = tone_mapped(image[::step, ::step], mask)
+    return float(shown.mean() if mask is None or not mask.any() else shown[mask].mean())
 
 
 def object_window(alpha: np.ndarray) -> Window:

@@ -1,4 +1,4 @@
-"""``overview.png``: page with entropy, coverage and marginals of an estimate."""
+"""``overview.png``: page with known shares, entropy and coverage of an estimate."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ from svu_mi.output.estimate_arrays import (
     EstimateArrays,
     known_values,
     label_of,
-    mean_marginals,
-    open_axes,
-    prior_marginal,
 )
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import IntervalSummary, plain_percent
@@ -31,14 +28,15 @@ if TYPE_CHECKING:
 
     from svu_mi.output.style import Panel
 
-SIZE = (16.0, 9.4)  # inches
+SIZE = (16.0, 10.2)  # inches
 HEADING = "Uncertainty of the reflectance"
+BINS, FULL = 50, 0.01  # bars of the histogram; share of the last bar from which it is explained
 
 
 def write_overview(
     capture: Capture, estimate: Estimate, path: str | Path, summary: IntervalSummary | None = None
 ) -> None:
-    """Draw photographs, entropy, coverage and marginals (1600 x 940 pixels).
+    """Draw known shares, photographs, entropy and coverage (1600 x 1020 pixels).
 
     ``summary`` contains the widths of the intervals; default: computed here.
 
@@ -46,24 +44,40 @@ def write_overview(
         OutputError: the file cannot be written.
     """
     result, summary = EstimateArrays.of(estimate), summary or IntervalSummary.of(estimate)
-    names = list(open_axes(estimate))
-    means = mean_marginals(estimate, result) if result.seen.any() else None
-    marginals = [
-        (label_of(name).capitalize(), partial(
-            _marginal, estimate=estimate, name=name, means=means, summary=summary))
-        for name in names
-    ]  # fmt: skip
+    shares: list[Panel] = [
+        ("", partial(_share, summary=summary, name=name)) for name in summary.known_part
+    ]
+    if not shares:
+        shares = [("", partial(_sentence, text=summary.sentence()))]
     style.write_page(path, SIZE, HEADING, _notes(capture, estimate, summary), [
-        Block(panels=_objects(capture, estimate), shape=(1, 4), box=(LEFT, RIGHT, 0.455, 0.86),
+        Block(panels=shares, shape=(1, len(shares)), box=(LEFT, RIGHT, 0.83, 0.905)),
+        Block(panels=_objects(capture, estimate), shape=(1, 4), box=(LEFT, RIGHT, 0.41, 0.785),
               space=(0.03, 0), anchor="N"),
         Block(panels=[("Entropy", partial(_entropy_map, estimate=estimate, result=result)),
                       ("Coverage", partial(_coverage_map, capture, estimate, result))],
-              shape=(1, 2), box=(LEFT, 0.485, 0.075, 0.405), space=(0.09, 0), anchor="N"),
+              shape=(1, 2), box=(LEFT, 0.485, 0.075, 0.365), space=(0.09, 0), anchor="NW"),
         Block(panels=[("Entropy of seen texels", partial(_histogram, result=result))],
-              box=(0.535, RIGHT, 0.263, 0.405)),
-        Block(panels=marginals, shape=(1, max(len(names), 1)), box=(0.535, RIGHT, 0.04, 0.182),
-              space=(0.2, 0)),
+              box=(0.535, RIGHT, 0.075, 0.365)),
     ])  # fmt: skip
+
+
+def _share(axes: Axes, summary: IntervalSummary, name: str) -> None:
+    """Write on which share of the surface a parameter is known, in large digits."""
+    axes.set_axis_off()
+    width = summary.cell_width.get(name)
+    cells = "of the surface seen" if width is None else f"cells of the grid ±{width / 2:.2f}"
+    lines = (label_of(name).capitalize(), f"known to ±{summary.tolerance:g}, {cells}")
+    share = plain_percent(summary.known_part[name])
+    share = share.replace("under ", "<").replace("over ", ">")
+    axes.text(0, 0.5, share, size=32, weight="bold",
+              color=style.INK, va="center")  # fmt: skip
+    for place, text, color in zip((0.72, 0.28), lines, (style.INK, style.FAINT), strict=True):
+        axes.text(0.37, place, text, size=12, color=color, va="center")
+
+
+def _sentence(axes: Axes, text: str) -> None:
+    axes.set_axis_off()
+    axes.text(0, 0.5, text, size=13, color=style.INK, va="center", wrap=True)
 
 
 def _notes(capture: Capture, estimate: Estimate, summary: IntervalSummary) -> list[str]:
@@ -105,12 +119,12 @@ def _coverage_map(capture: Capture, estimate: Estimate, result: EstimateArrays, 
         colormap=style.VIEWS_COLORMAP, interpolation="nearest",
     )  # fmt: skip
     bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    _hatch(axes, result)
+    _hatch(axes, result, legend=False)
 
 
 def _histogram(axes: Axes, result: EstimateArrays) -> None:
     style.minimal_axes(axes)
-    edges, values = np.linspace(0, 1, 51), result.entropy[result.seen]
+    edges, values = np.linspace(0, 1, BINS + 1), result.entropy[result.seen]
     if len(values) == 0:
         _note_nothing_seen(axes)
         return
@@ -126,45 +140,16 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
         ha="left" if side > 0 else "right", va="center",
     )  # fmt: skip
     axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the label
-    style.labels(axes, up="% of texels")
+    style.labels(axes, style.ENTROPY_ENDS, "% of texels")
+    if part[-1] >= 100 * FULL:
+        views = np.median(result.coverage[result.seen][values >= edges[-2]])
+        seen = f"{views:g} photograph" + ("s" if views != 1 else "")
+        text = f"last bar: {part[-1]:.0f} % of texels; median of {seen} each"
+        axes.set_title(text, loc="right", y=1.0, size=style.TEXT, color=style.FAINT, pad=6)
 
 
-def _marginal(
-    axes: Axes, estimate: Estimate, name: str, means: Any, summary: IntervalSummary
-) -> None:
-    """Draw the mean marginals of all seen texels and of the 10 % with the lowest entropy."""
-    style.minimal_axes(axes)
-    if means is None:
-        _note_nothing_seen(axes)
-        return
-    nodes, (of_all, of_lowest) = estimate.posterior.axes[name], (mean[name] for mean in means)
-    several = of_all.shape[1] == 3
-    label = label_of(name).capitalize()
-    style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
-    style.subtitle(axes, _share(summary, name))
-    for k, color in enumerate(style.CHANNEL_COLORS if several else (style.INK,)):
-        axes.plot(nodes, of_all[:, k], "o-", color=color, lw=1.8, ms=3)
-        axes.plot(nodes, of_lowest[:, k], color=color, lw=1.2, ls=(0, (3, 2)))
-    prior = prior_marginal(estimate.posterior, name)
-    axes.plot(nodes, prior, color=RULE, lw=1, zorder=0)
-    highest = max(float(p.max()) for p in (of_all, of_lowest, prior))
-    axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the legend
-    for line, what in (("o-", "mean of all seen"), ("--", "10 % with lowest entropy")):
-        axes.plot([], [], line, color=style.INK, lw=1.4, ms=3, label=what)
-    style.legend(axes, 8, loc="upper left", borderaxespad=0, handlelength=1.6, labelspacing=0.2)
-
-
-def _share(summary: IntervalSummary, name: str) -> str:
-    """Return on which share of the surface a parameter is known."""
-    if summary.withheld:
-        return "light estimated: no ± given"
-    width = summary.cell_width.get(name)
-    rest = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
-    return f"±{summary.tolerance:g} on {plain_percent(summary.known_part[name])}{rest}"
-
-
-def _hatch(axes: Axes, result: Any) -> None:
-    """Hatch pixels outside the charts, whose grey is not a value, and draw a legend."""
+def _hatch(axes: Axes, result: Any, legend: bool = True) -> None:
+    """Hatch pixels outside the charts, whose grey is not a value; ``legend`` explains it."""
     from matplotlib.patches import Patch
 
     height, width = result.inside.shape
@@ -181,7 +166,7 @@ def _hatch(axes: Axes, result: Any) -> None:
     if not result.inside.all():
         outside = style.OUTSIDE
         key.append(Patch(facecolor=outside, edgecolor=RULE, hatch="////", label="no surface"))
-    if key:
+    if key and legend:
         style.legend(
             axes, handles=key, loc="lower right", bbox_to_anchor=(1.015, 0.985), ncol=len(key),
             handlelength=1.4, columnspacing=1.2,

@@ -1,4 +1,4 @@
-"""``recovery.png``: page with recovered textures and the errors of their renders."""
+"""``recovery.png``: page with renders, recovered textures and their uncertainty."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from svu_mi.output import style
 from svu_mi.output.estimate_arrays import is_seen, label_of
 from svu_mi.output.html import grouped
 from svu_mi.output.panels import draw_look, draw_scaled_map, fully_seen, map_colors
-from svu_mi.output.rerender import SIDE, RenderComparison
-from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP, Block
+from svu_mi.output.rerender import SIDE, WORST, RenderComparison
+from svu_mi.output.style import GREY, LEFT, OUTSIDE, RIGHT, VIEWS_COLORMAP, Block
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate
@@ -33,7 +33,6 @@ HEADING = "Reflectance recovered from the photographs"
 TITLES = tuple(label_of(name).capitalize() for name in NAMES)
 GREYS = "grey: never seen"
 WIDEST_SD = 0.3  # upper end of the scale; the uniform prior has 0.29, the prior of metallic 0.46
-SMOOTH = 50  # losses are averaged over 1/50 of the steps
 
 
 def write_recovery_overview(
@@ -44,7 +43,7 @@ def write_recovery_overview(
     estimate: Estimate | None = None,
     field: TextureField | None = None,
 ) -> None:
-    """Draw textures, uncertainty, losses and render comparisons (1800 x 1020 pixels).
+    """Draw render comparisons, textures and uncertainty (1800 x 1020 pixels).
 
     ``estimate`` provides the entropy and, without ``field``, the standard deviations.
     """
@@ -59,13 +58,11 @@ def write_recovery_overview(
         for title, name in zip(TITLES, NAMES, strict=True):
             colors = texture_colors(recovery.texels, recovery.textures, name)
             objects.append((title, partial(draw_look, look=look, colors=colors)))
-    losses = [("Loss by step", partial(_losses, losses=np.array(recovery.losses, np.float64)))]
     style.write_page(path, SIZE, HEADING, _notes(capture, recovery, estimate), [
-        Block(panels=losses, box=(0.87, RIGHT, 0.64, 0.875)),
-        Block(panels=_maps(recovery, estimate, field), shape=(1, 7), box=(LEFT, 0.83, 0.63, 0.875),
-              space=(0.12, 0), anchor="NW"),
-        Block(panels=objects, shape=(2, 6), box=(LEFT, RIGHT, 0.015, 0.545), space=(0.1, 0.13),
+        Block(panels=objects, shape=(2, 6), box=(LEFT, RIGHT, 0.335, 0.875), space=(0.1, 0.13),
               anchor="NW"),
+        Block(panels=_maps(recovery, estimate, field), shape=(1, 7), box=(LEFT, RIGHT, 0.07, 0.285),
+              space=(0.12, 0), anchor="NW"),
     ])  # fmt: skip
 
 
@@ -76,8 +73,9 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
         f"method {recovery.method}",
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {grouped(len(seen))} in charts",
-        f"{100 * seen.sum() / max(len(seen), 1):.0f} % seen",
-        *([] if estimate is None else [f"sd and entropy of preset {estimate.preset.name}"]),
+        f"{100 * seen.sum() / max(len(seen), 1):.0f} % of the texels seen",
+        *([] if estimate is None else [f"preset {estimate.preset.name}"]),
+        f"difference: yellow from {WORST:g}",
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
     ]
@@ -99,8 +97,9 @@ def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | N
             sd = np.asarray(estimate.posterior.sd(name), np.float32)
         worst = None if sd is None else sd.reshape(len(sd), -1).max(axis=1, initial=0)
         panels.append((f"{title}, sd", partial(
-            _scaled, estimate=None if sd is None else estimate, values=worst, label=GREYS,
-            limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2))))  # fmt: skip
+            _scaled, estimate=None if sd is None else estimate, values=worst,
+            label=GREYS,
+            limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2, WIDEST_SD))))  # fmt: skip
     return [*panels, ("Entropy", partial(_scaled, estimate=estimate, label=GREYS))]
 
 
@@ -117,24 +116,13 @@ def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
         draw_scaled_map(axes, estimate, **{"ticks": (0, 0.5, 1), **options})
 
 
-def _losses(axes: Axes, losses: np.ndarray) -> None:
-    if len(losses) < 2:
-        _empty(axes, "no descent")
-        return
-    width = max(len(losses) // SMOOTH, 1)
-    mean = np.convolve(losses, np.ones(width) / width, "valid")
-    axes.plot(losses, color=RULE, lw=0.8)
-    axes.plot(np.arange(len(mean)) + (width - 1) / 2, mean, color=INK, lw=1.6)
-    if losses.min() > 0 and losses.max() > 20 * losses.min():
-        axes.set_yscale("log")
-    style.minimal_axes(axes)
-
-
 def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
     """Return panels of a photograph, its render and their difference."""
     error = comparison.mean_difference
+    unusable = np.isnan(comparison.photograph[comparison.inside]).any()
     titles = (
-        f"Photograph {comparison.view}", "Rendered with recovered textures",
+        f"Photograph {comparison.view}" + (" (grey: unusable)" if unusable else ""),
+        "Rendered with these textures",
         "Difference" if error is None else f"Difference, mean {error:.3f}",
     )  # fmt: skip
     images = comparison.cropped()

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 DPI = 100
 LEFT, RIGHT = 0.018, 0.985  # margins of a page
 COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
-VALUES_COLORMAP = "plasma"  # for parameters; contains no grey, which marks unseen texels
+VALUES_COLORMAP = "copper"  # for parameters; without grey (unseen) and yellow (uncertain)
 DENSITY_COLORMAP = DIFFERENCE_COLORMAP = "magma"  # posteriors, differences of pictures
 INFORMATION_GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: no gain
 CHANNEL_COLORS = ("#c23b3b", "#2f8f4e", "#3566b8")

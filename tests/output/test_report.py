@@ -228,6 +228,17 @@ def test_points_are_shown_with_their_intervals(estimate, table):
         assert re.fullmatch(r"R [\d.]+ to [\d.]+, G .*, B .*", told["base colour"])
 
 
+def test_points_are_on_different_sides(estimate, table):
+    frames = list(range(4))
+    result = EstimateArrays.of(estimate)
+    examples = list(report_plots.example_texels(table, estimate, result, 0.9, frames))
+    assert len({example["picture"] for example in examples}) == 3
+
+
+def test_the_title_is_the_object(capture, page):
+    assert "<h1>ball</h1>" in page(capture)
+
+
 def test_names_and_warnings_are_escaped(text):
     assert NAME not in text and WARNING not in text
     assert "&lt;img src=x onerror=" in section(text, "photographs")

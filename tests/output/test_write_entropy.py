@@ -79,7 +79,7 @@ def test_the_overview_is_a_page_of_1600_pixels(tmp_path, vase):
     write_overview(vase.capture, vase.estimate, tmp_path / "overview.png")
     assert (dict(matplotlib.rcParams), pyplot.get_fignums()) == before
     page = pixels(tmp_path / "overview.png")
-    assert page.shape == (940, 1600, 3)
+    assert page.shape == (1020, 1600, 3)
     # Both ends of viridis and the grey of unseen texels are on it.
     for color in ((253, 231, 36), (68, 1, 84), (140, 140, 147)):
         assert (np.abs(page.astype(int) - color).max(axis=2) <= 2).any(), color

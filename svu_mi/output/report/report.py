@@ -42,6 +42,7 @@ from svu_mi.recovery.uncertainty.texture_field import field_of_textures
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # number of turntable frames, pixels per side
+UNNAMED = ("", "object")  # ids of shapes without a name, and of imported meshes
 WARNINGS = 12  # number shown before "more"
 
 
@@ -67,7 +68,8 @@ def write_report(
             ``NAME.before.EXT``, with a warning.
         textures: Recovered textures, such as ``recover(...).textures``, to show and to render for
             comparison with the photographs.
-        title: Title of the page; default: the name of the capture's folder.
+        title: Title of the page; default: the name of the object in its scene, or of the capture's
+            folder if the object has none.
         settings: Settings of the caller to list, such as command-line options.
         progress: Callback with (finished parts, all parts).
 
@@ -89,10 +91,9 @@ def write_report(
     intervals = sampled_intervals(estimate)  # as in the summaries of other commands
     summary = IntervalSummary.of(estimate, intervals)
     today = datetime.date.today()
-    name = capture.source.resolve().name if capture.source else str(capture.shape.id())
     page = page_of(
         TEMPLATE,
-        title=title or name, date=f"{today.day} {today:%B %Y}",
+        title=title or _object_name(capture), date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, summary, table),
         histogram=report_plots.entropy_histogram(result),
         marginals=list(report_plots.marginal_plots(estimate, result)),
@@ -102,6 +103,13 @@ def write_report(
     write_page(Path(path), page)
     report(5, 5)
     return summary
+
+
+def _object_name(capture: Capture) -> str:
+    """Return the id of the object, or the name of the capture's folder if the id is no name."""
+    name = str(capture.shape.id())
+    is_named = name not in UNNAMED and not name.startswith("_")
+    return name if is_named or not capture.source else capture.source.resolve().name
 
 
 def _pictures(

@@ -148,9 +148,9 @@ def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
     """Return names, sentences and pictures of estimated light."""
     maps = (
         ("Radiance", "Lat-long map: top +Y, centre +Z.", light_colors(light.radiance)),
-        ("Standard deviation", "Of the logarithm of radiance. Black: certain; yellow: may be "
+        ("Standard deviation", "Of the logarithm of radiance. Dark: certain; yellow: may be "
          "several times brighter or darker.", deviation_colors(light)),
-        ("Fraction determined", "Yellow: by the photographs; blue: by the prior, because no glossy "
+        ("Fraction determined", "Dark: by the photographs; yellow: by the prior, because no glossy "
          "part of the object mirrors that direction.", known_colors(light)),
     )  # fmt: skip
     return [(name, sentence, embedded_png(colors)) for name, sentence, colors in maps]

@@ -125,18 +125,22 @@ def example_texels(
     mass: float,
     frames: list[PageImage],
 ) -> Iterator[dict[str, Any]]:
-    """Yield seen texels of low, median and high entropy with their marginals.
+    """Yield seen texels of low, median and high entropy with their marginals, from several sides.
 
     ``x`` and ``y`` are the texel's position in ``picture``, in percent of its width and height.
     If no frame shows the texel, ``picture`` is None.
     """
     seen = np.flatnonzero(result.seen)
     order = seen[np.argsort(result.entropy[seen], kind="stable")]
+    used: list[int] = []
     for name, part in EXAMPLES if len(order) else ():
         rank = int(part * (len(order) - 1))
         alike = order[max(rank - ALIKE // 2, 0) : rank + ALIKE // 2 + 1]
-        place = table.find(estimate.texels, alike)
+        place = None
+        for sides in (table.frames_apart(used), None):
+            place = place or table.find(estimate.texels, alike, sides)
         texel, number, x, y = place or (int(order[rank]), -1, 0.0, 0.0)
+        used += [number] if place else []
         intervals = Intervals(estimate.posterior, mass, np.array([texel]))
         marginals = {
             n: np.array(p, np.float64).reshape(p.shape[1], -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,16 +79,19 @@ class Turntable:
         color = dilate(color, image[..., 3] == 1, EDGE)
         return object_views.crop(np.dstack([color, alpha]), self.window)
 
-    def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
+    def find(
+        self, texels: Texels, chosen: np.ndarray, frames: Sequence[int] | None = None
+    ) -> tuple[int, int, float, float] | None:
         """Return the texel of ``chosen`` (t,) that is seen most frontally: index, frame, x and y.
 
-        x and y are fractions of the frame from the left and the top. None if no texel is visible.
+        Only ``frames`` are considered (default: all). x and y are fractions of the frame from the
+        left and the top. None if no texel is visible.
         """
         points = np.array(texels.position).T[chosen]
         normals = np.array(texels.normal).T[chosen]
         best = (0.0, 0, 0)
-        for number, sensor in enumerate(self.sensors):
-            offset = to_world(sensor)[:3, 3] - points
+        for number in range(len(self.sensors)) if frames is None else frames:
+            offset = to_world(self.sensors[number])[:3, 3] - points
             cosine = (normals * offset).sum(axis=1) / np.linalg.norm(offset, axis=1)
             free = self._free(points + LIFT * texels.extent * normals, offset)
             shown = np.where(free, cosine, 0)
@@ -99,6 +103,14 @@ class Turntable:
         x, y = _places(points[k : k + 1], self.sensors[number])[0]
         left, right, top, bottom = self.window
         return int(chosen[k]), number, (x - left) / (right - left), (y - top) / (bottom - top)
+
+    def frames_apart(self, frames: Sequence[int]) -> list[int]:
+        """Return all frames that are at least a quarter turn from each of ``frames``."""
+        count = len(self.sensors)
+        return [
+            k for k in range(count)
+            if all(4 * min((k - f) % count, (f - k) % count) >= count for f in frames)
+        ]  # fmt: skip
 
     def _free(self, points: np.ndarray, offset: np.ndarray) -> np.ndarray:
         # Copied by to_drjit: the alignment of NumPy's memory would be part of the kernel.
