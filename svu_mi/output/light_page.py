@@ -123,7 +123,7 @@ def _lit_panels(capture: Capture, estimate: LightEstimate) -> list[Panel]:
         name: np.full((2, 2, CHANNELS[name]), value, np.float32)
         for name, value in GREY_PLASTIC.items()
     })  # fmt: skip
-    views = object_views.distant_views(capture, np.ones(sum(capture.used)))  # of any coverage
+    views = object_views.distant_views(capture, [1] * sum(capture.used))  # of any coverage
     panels: list[Panel] = []
     for one in compare_renders(with_light(capture, estimate), grey, views, relit=False):
         photograph, *_, lit = replace(one, relit=one.render).cropped()  # exposed for itself
