@@ -32,7 +32,7 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
     used = []
     for module, kind in (
         (estimators, "angular_posterior"), (estimators, "calibrated_posterior"),
-        (pipeline, "spectrum_posterior"), (pipeline, "fit_spectra"),
+        (estimators, "fit"), (pipeline, "spectrum_posterior"), (pipeline, "fit_spectra"),
     ):  # fmt: skip
         real = getattr(module, kind)
 

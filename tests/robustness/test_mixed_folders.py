@@ -206,17 +206,17 @@ def test_a_capture_that_others_have_worked_on_is_left_alone(made, tmp_path, caps
         (shot / "capture.json").write_text(json.dumps(record))
     else:
         (shot / name).write_bytes(b"mine")
-    before = {path.name: path.read_bytes() for path in shot.iterdir()}
+    before = {path.name: path.read_bytes() for path in shot.iterdir() if path.is_file()}
     given = {"render": made / "a" / "scene.xml", "import": made / "none"}[command]
     line = fails(capsys, command, given, "-o", shot)
     assert command == "import" or "contains other files" in line
-    assert {path.name: path.read_bytes() for path in shot.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in shot.iterdir() if path.is_file()} == before
 
 
 def test_a_scene_that_cannot_be_rendered_costs_no_photograph(made, tmp_path, capsys):
     shot = shutil.copytree(made / "a" / "shot", tmp_path / "capture")
-    before = {path.name: path.read_bytes() for path in shot.iterdir()}
+    before = {path.name: path.read_bytes() for path in shot.iterdir() if path.is_file()}
     (tmp_path / "scene.xml").write_text("<scene version='3.0.0'></scene>")
     fails(capsys, "render", tmp_path / "scene.xml", "-o", shot)
-    assert {path.name: path.read_bytes() for path in shot.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in shot.iterdir() if path.is_file()} == before
     assert run("render", made / "b" / "scene.xml", "-o", shot, "--spp", 1) == 0  # its own may go
