@@ -79,6 +79,7 @@ CONTENTS = """
 :hidden:
 :caption: Pages
 notebooks/phone
+notebooks/tools
 notebooks/capture
 notebooks/methods
 notebooks/how

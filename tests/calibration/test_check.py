@@ -30,7 +30,7 @@ from svu_mi.calibration.checks.decisions import (
 )
 from svu_mi.calibration.checks.envmap_orientation import LightScore, score_light
 from svu_mi.calibration.checks.mesh_similarity import fit_masks
-from svu_mi.calibration.checks.pose_scores import check_views, score_poses
+from svu_mi.calibration.checks.pose_scores import PoseScore, check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
     DistantLight,
@@ -236,6 +236,34 @@ def test_photographs_of_something_else_are_explained_by_nothing(capture):
     finding, _ = pose_finding(apply_fixes(shuffled, [small]))
     assert finding.verdict == "unclear" and not finding.fixes
     assert "scale" in finding.sentence
+
+
+@pytest.mark.parametrize(
+    ("texture", "silhouette", "verdict", "fixes"),
+    [
+        (0.08, 0.97, "fits", ()),  # a texture that fits nowhere
+        (0.91, 0.97, "unclear", ("mesh-x180",)),
+        (0.91, 0.99, "wrong", ("mesh-x180",)),  # silhouettes, too
+    ],
+)
+def test_poses_are_not_blamed_for_a_texture(texture, silhouette, verdict, fixes):
+    """Silhouettes and views fit equally well; the texture favours a rotated mesh."""
+    noise = np.random.default_rng(SEED).normal(0, 1e-3, (3, POINTS))
+
+    def score(names, fit, correlation):
+        return PoseScore(
+            hypothesis=next(h for h in pose_hypotheses() if h.names == names), masked=True,
+            fits=fit + noise[0, :8], agreement=0.8, texture=correlation,
+            misfit=1 - correlation**2 + noise[1],
+        )  # fmt: skip
+
+    scores = [score(("mesh-x180",), silhouette, texture), score((), 0.97, 0.02)]
+    finding, chosen = decide_poses(scores)
+    assert (finding.verdict, finding.fixes) == (verdict, fixes), finding.sentence
+    assert chosen.hypothesis.names == fixes
+    if verdict != "wrong":
+        assert finding.sentence.startswith("Cameras and mesh fit the photographs (silhouettes")
+        assert "instead of silhouettes" not in finding.sentence
 
 
 def test_light_without_a_direction_cannot_be_told(capture):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,12 @@ import numpy as np
 from svu_mi.calibration.checks.check_result import Finding, Question, ScoredHypothesis, Verdict
 from svu_mi.calibration.checks.envmap_orientation import LightScore, NormalDependence
 from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, ViewGains
-from svu_mi.calibration.checks.pose_scores import PoseScore, is_significant, simplest
+from svu_mi.calibration.checks.pose_scores import (
+    PoseScore,
+    differs_in_texture_only,
+    is_significant,
+    simplest,
+)
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.importers.axis_fixes import FIXES
 
@@ -25,6 +30,7 @@ LIGHT_IMPROVEMENT = 0.06
 LIGHT_MARGIN = 0.03  # smaller score differences are ties
 LIGHT_RANGE = 0.2  # minimum range of the score over all orientations
 LEAST_CUE = 0.1  # minimum cue that supports an orientation
+ALIKE = 0.3  # minimum correlation of a texture that supports other poses
 FLIP_IMPROVEMENT = 0.03  # minimum difference of the correlation with a texture
 NAMED = 5  # maximum number of photographs named in a sentence
 UNKNOWN = {
@@ -64,6 +70,8 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     if chosen is current:
         sentence = f"Cameras and mesh fit the photographs ({fit}{_as_well(alternatives)})."
         return finding(verdict="fits", sentence=sentence), current
+    if differs_in_texture_only(chosen, current):
+        return _decide_by_texture(finding, chosen, current)
     if alternatives:
         return finding(
             verdict="unclear", fixes=names,
@@ -73,6 +81,21 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
         ), chosen  # fmt: skip
     sentence = f"{_causes(names)}: {_fit(chosen)} instead of {fit}."
     return finding(verdict="wrong", fixes=names, sentence=sentence), chosen
+
+
+def _decide_by_texture(
+    finding: Callable[..., Finding], chosen: PoseScore, current: PoseScore
+) -> tuple[Finding, PoseScore]:
+    """Decide if only the texture favours other poses: a wrong texture does so, too."""
+    fits = f"Cameras and mesh fit the photographs ({_fit(current)})"
+    if chosen.texture < ALIKE:
+        return finding(verdict="fits", sentence=f"{fits}, but the texture does not."), current
+    return finding(
+        verdict="unclear", fixes=chosen.hypothesis.names,
+        sentence=f"{fits}, but the texture only with {_choices([chosen.hypothesis.names])} "
+        f"(correlation {chosen.texture:.2f} instead of {current.texture:.2f}): the axes or the "
+        "texture are wrong.",
+    ), chosen  # fmt: skip
 
 
 def with_inside_out(poses: Finding, behind: float) -> Finding:

@@ -137,6 +137,13 @@ def clearly_better(one: PoseScore, other: PoseScore) -> bool:
     return any(_favoring_cues(one, other)) and not any(_favoring_cues(other, one))
 
 
+def differs_in_texture_only(one: PoseScore, other: PoseScore) -> bool:
+    """Return whether neither silhouettes nor agreement of views favour ``one``."""
+    closer = one.fits - other.fits
+    decisive = closer.mean() > DECISIVE and is_significant(closer)
+    return not decisive and not any(_favoring_cues(one, other)[:2])
+
+
 def _favoring_cues(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
     """Return three flags: silhouettes, agreement of views, or texture favour ``one``."""
     closer = one.silhouette - other.silhouette

@@ -31,6 +31,7 @@ from svu_mi.capture.importers.convert_photographs import (
     photograph_notes,
     with_response,
 )
+from svu_mi.capture.importers.duplicate_frames import duplicate_notes
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.exposure_list import with_gains
 from svu_mi.capture.importers.import_options import ImportOptions, Light
@@ -202,7 +203,7 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
         )
     if mesh is None:
         raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
-    notes = [*left_out, *about_gains]
+    notes = [*left_out, *duplicate_notes(frames, str(source.root)), *about_gains]
     return ImportPlan(source, options, fixes, frames, str(mesh), light, notes, known)
 
 
