@@ -18,8 +18,8 @@ def duplicate_notes(frames: Sequence[Frame], root: str) -> Iterator[str]:
     if pair := _first(frames, lambda frame: _signature(frame.image), _same_photograph):
         yield (
             f"{root}: {pair[2]} of {len(frames)} photographs occur twice, first "
-            f"{pair[0].image.name} ({pair[0].label} and {pair[1].label}); they count twice, so the uncertainty is too "
-            "small. Remove one of each."
+            f"{pair[0].image.name} ({pair[0].label} and {pair[1].label}); they count twice, so "
+            "the uncertainty is too small. Remove one of each."
         )
     if pair := _first(
         frames, lambda frame: (frame.to_world.round(DIGITS) + 0.0).tobytes(), _others

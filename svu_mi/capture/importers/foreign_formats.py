@@ -70,7 +70,9 @@ def refuse_foreign(path: Path) -> None:
     ]  # fmt: skip
     for file in sorted(files):
         if found := _recognise(file):
-            raise CaptureError(f"{file}: is {found[0]}, which is not read; {found[1]}.")
+            raise CaptureError(
+                f"{file}: contains {found[0]}, in a format that is not read; {found[1]}."
+            )
     if (path / capture_folder.FILE).is_file():
         raise CaptureError(f"{path}: was imported already; give it to other commands.")
     pictures = (*files, *islice(path.glob("images/*"), LISTED))

@@ -188,8 +188,9 @@ def test_largest_of_several_models_is_read(tmp_path, place):
     assert [frame.image.name for frame in source.frames] == ["0.png", "1.png", "2.png"]
     model = {number: tmp_path / place.format(number) for number in (0, 2, 3, 10)}
     assert source.notes[1] == (
-        f"{model[2]}: the largest of 4 models of parts of the scene is used ({model[0]} has 1, "
-        f"{model[3]} has 0, {model[10]} has 2); to use another, import its folder instead."
+        f"{model[2]}: the largest of 4 models of parts of the scene is used, with 3 images "
+        f"({model[0]} has 1, {model[3]} has 0, {model[10]} has 2); to use another, import its "
+        "folder instead."
     )
     other = read_colmap(model[10], **images)
     assert len(other.frames) == 2 and len(other.notes) == 1

@@ -46,17 +46,19 @@ def test_file_of_other_tool_is_named_with_its_export(tmp_path, name, folder):
     (tmp_path / name).write_text(text, encoding="latin-1")
     with pytest.raises(CaptureError) as error:
         read_source(tmp_path if folder else tmp_path / name)
-    assert str(error.value).startswith(f"{tmp_path / name}: is ") and remedy in str(error.value)
+    assert str(error.value).startswith(f"{tmp_path / name}: contains ") and remedy in str(
+        error.value
+    )
 
 
 def test_binary_files_of_other_tools(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.usdz", "w") as file:
         file.writestr("baked_mesh.usdc", b"PXR-USDC")
-    with pytest.raises(CaptureError, match=r"a\.usdz: is a model of Apple.*colmap auto"):
+    with pytest.raises(CaptureError, match=r"a\.usdz: contains a model of Apple.*colmap auto"):
         read_source(tmp_path / "a.usdz")
     with sqlite3.connect(tmp_path / "database.db") as database:
         database.execute("CREATE TABLE cameras (camera_id INTEGER)")
-    with pytest.raises(CaptureError, match=r"database\.db: is a database.*colmap mapper"):
+    with pytest.raises(CaptureError, match=r"database\.db: contains a database.*colmap mapper"):
         read_source(tmp_path / "database.db")
 
 

@@ -176,5 +176,6 @@ def _notes(project: Project) -> Iterator[str]:
         counts = ", ".join(f"{other} has {count_images(other)}" for other in project.others[:SHOWN])
         yield (
             f"{project.model}: the largest of {len(project.others) + 1} models of parts of the "
-            f"scene is used ({counts}); to use another, import its folder instead."
+            f"scene is used, with {len(project.views)} images ({counts}); to use another, import "
+            "its folder instead."
         )
