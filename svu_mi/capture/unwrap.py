@@ -27,6 +27,7 @@ log = logging.getLogger(__name__)
 UNWRAPPED = "unwrapped.ply"
 KEY = "svu_mi unwrapped "  # prefix of the digest in a comment of the file's header
 HEADER = 4096  # bytes; the header of the PLY file must be shorter
+HUGE = 200_000  # faces, from which simplification is proposed
 LARGE = 20_000  # faces, from which a mesh is unwrapped in pieces by another process
 PERIOD = 15.0  # seconds between two lines about the progress
 PACE = 10_000  # faces per second, about
@@ -45,8 +46,9 @@ def unwrap(mesh: Any, label: str = "") -> Any:
     is_large = len(source.faces) > LARGE
     if is_large:
         log.warning(
-            "%s: UVs of %d faces are computed, which takes about %.0f s.",
+            "%s: UVs of %d faces are computed, which takes about %.0f s. Ctrl-C stops it%s.",
             label, len(source.faces), len(source.faces) / PACE,
+            "; svu import --faces 100000 simplifies it first" if len(source.faces) > HUGE else "",
         )  # fmt: skip
     layout = _layout_of_large if is_large else unwrap_process.layout
     vmap, faces, uvs = layout(unit, source.faces)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -44,6 +45,8 @@ CONVERTED = set(IMAGE_SUFFIXES) - set(PICTURES)
 # trimesh returns V upwards for other formats.
 V_DOWN = (".ply",)
 MTL = ".mtl"
+HEADER = 2**16  # bytes that contain the header of a PLY, or the first vertex of an OBJ
+COLORED = re.compile(rb"^v(\s+[-+.\deE]+){6,7}\s*$", re.MULTILINE)  # x y z r g b [w]
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
 LEFT_OUT = (
@@ -102,7 +105,10 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
     if not geometry_only:
         names = [name for part in parts for name in ignored_in_obj(part.visual)]
-        names += ["vertex colours" for part in parts if part.visual.kind in ("vertex", "face")]
+        names += ["vertex colours" for part in parts if part.is_colored]
+        with path.open("rb") as stream:
+            is_colored = path.suffix.lower() == ".obj" and COLORED.search(stream.read(HEADER))
+        names += ["vertex colours"] if is_colored else []
         if path.suffix.lower() in GLTF:
             with _parser_errors(path):
                 names = ignored_in_gltf(path)
@@ -151,6 +157,7 @@ class _Part:
     mesh: MeshArrays
     visual: Any
     material: int | None
+    is_colored: bool
 
     @staticmethod
     def of(scene: trimesh.Scene, node: str) -> _Part:
@@ -171,6 +178,7 @@ class _Part:
             ),
             part.visual,
             hash(part.visual.material) if part.visual.kind == "texture" else None,
+            part.visual.kind in ("vertex", "face") or "red" in _ply_properties(part),
         )
 
 
@@ -182,11 +190,16 @@ def _own_normals(part: Any) -> np.ndarray | None:
     bare = trimesh.Trimesh(part.vertices, part.faces, face_normals=part.face_normals, process=False)
     if not np.array_equal(part.vertex_normals, bare.vertex_normals, equal_nan=True):
         return np.asarray(part.vertex_normals)
-    raw = part.metadata.get("_ply_raw", {}).get("vertex", {})
-    if not {"nx", "ny", "nz"} <= set(raw.get("properties", ())):
+    if not {"nx", "ny", "nz"} <= set(_ply_properties(part)):
         return None
+    raw = part.metadata["_ply_raw"]["vertex"]
     own = np.stack([np.asarray(raw["data"][name], float).ravel() for name in ("nx", "ny", "nz")])
     return own.T if own.shape[1] == len(part.vertices) else None
+
+
+def _ply_properties(part: Any) -> Any:
+    """Return the names of the properties of vertices in a PLY; empty for other formats."""
+    return part.metadata.get("_ply_raw", {}).get("vertex", {}).get("properties", ())
 
 
 def _read_parts(
@@ -200,6 +213,7 @@ def _read_parts(
     held = path.stat().st_size
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
+    _refuse_ambiguous(path)
     given: dict[str, Any] = {"file_obj": path}
     notes: list[str] = []
     with _parser_errors(path):
@@ -221,6 +235,25 @@ def _read_parts(
     if not parts:
         raise MeshError(f"{path}: contains no triangle mesh; export one.")
     return parts, notes
+
+
+def _refuse_ambiguous(path: Path) -> None:
+    """Raise MeshError for files of which trimesh would read only a part, or something else."""
+    kind = path.suffix.lower()
+    data = path.read_bytes() if kind == ".obj" else b""
+    first = re.search(rb"^f\s", data, re.MULTILINE)
+    relative = first and re.search(rb"^f\s[^\n]*-\d", data, re.MULTILINE)
+    if first and relative and data.find(b"\nv ", first.start()) >= 0:
+        raise MeshError(
+            f"{path}: has relative indices between its vertices; export it with positive indices."
+        )
+    if kind == ".ply":
+        with path.open("rb") as stream:
+            header = stream.read(HEADER).partition(b"end_header")[0].lower()
+        if header.count(b"comment texturefile") > 1:
+            raise MeshError(
+                f"{path}: has several textures; bake them into one, or export it without textures."
+            )
 
 
 @contextlib.contextmanager

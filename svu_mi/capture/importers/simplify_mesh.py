@@ -26,9 +26,8 @@ def simplify(mesh: MeshArrays, count: int, label: str) -> tuple[MeshArrays, list
     faces = vertex.ravel()[mesh.faces].astype(np.int32)
     fewer, faces = fast_simplification.simplify(unit, faces, target_count=count)
     small = MeshArrays(fewer.astype(np.float64) * size + low, faces.astype(np.int64), None, None)
-    small, notes = repair_normals(small, label)
+    small, _ = repair_normals(small, label)
     return small, [
         f"{label}: simplified from {len(mesh.faces)} to {len(faces)} faces; at a fifth of the "
         "faces, roughness loses 1.3 to 1.6 dB.",
-        *notes,
     ]

@@ -282,3 +282,113 @@ def test_geometry_only_opens_no_material(tmp_path):
     assert not read_textured_mesh(path, geometry_only=True).notes
     (note,) = read_textured_mesh(path).notes
     assert "refers to mesh.mtl, which does not exist" in note
+
+
+def ply(path: Path, *, header: str = "", properties: str = "", extra: str = "") -> Path:
+    """Write two triangles with UVs, and ``extra`` values per vertex."""
+    rows = [
+        f"{x} {y} {z} {u} {1 - v:.6f}{extra}" for (x, y, z), (u, v) in zip(POINTS, UVS, strict=True)
+    ]
+    names = [f"property float {name}" for name in ("x", "y", "z", "s", "t")]
+    lines = [
+        "ply", "format ascii 1.0", *header.split("\n")[:-1], f"element vertex {len(POINTS)}",
+        *names, *properties.split("\n")[:-1], "element face 2",
+        "property list uchar int vertex_indices", "end_header", *rows, "3 0 1 2", "3 0 2 3",
+    ]  # fmt: skip
+    path.write_text("\n".join(lines) + "\n")
+    (path.parent / "base.png").write_bytes(png())
+    return path
+
+
+def moved(record: dict[str, Any], _: Any) -> None:
+    scaled = {"KHR_texture_transform": {"scale": [2, 2]}}
+    base_of(record)["baseColorTexture"]["extensions"] = scaled
+
+
+def placed(record: dict[str, Any], add: Any) -> None:
+    """Two mirrored nodes that cancel each other."""
+    record["nodes"] = [{"children": [1], "scale": [-2, 1, 1]}, {"mesh": 0, "scale": [-0.5, 1, 1]}]
+
+
+def with_normal_map(record: dict[str, Any], _: Any) -> None:
+    record["materials"][0]["normalTexture"] = {"index": 0}
+
+
+def both_sides(record: dict[str, Any], _: Any) -> None:
+    record["materials"][0]["doubleSided"] = True
+
+
+def changed_obj(folder: Path, old: str, new: str) -> Path:
+    path = obj(folder, "map_Kd base.png")
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def colored_obj(folder: Path) -> Path:
+    path = obj(folder, "map_Kd base.png")
+    rows = path.read_text().split("\n")
+    path.write_text("\n".join(f"{row} 1 0 0" if row[:2] == "v " else row for row in rows))
+    return path
+
+
+COLORS = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+PAINTED = "comment TextureFile base.png\n"
+FIELDS = {  # by words of the row of the table
+    "transforms of nodes": lambda d: glb(d / "a.glb", placed),
+    "`texCoord`": lambda d: glb(d / "a.glb", second_set),
+    "several UV sets": lambda d: glb(d / "a.glb", two_sets),
+    "`KHR_texture_transform`": lambda d: glb(d / "a.glb", moved),
+    "compression": lambda d: glb(d / "a.glb", requires("EXT_meshopt_compression")),
+    "`EXT_mesh_gpu": lambda d: glb(d / "a.glb", instanced),
+    "`KHR_texture_basisu`": lambda d: glb(d / "a.glb", requires("KHR_texture_basisu")),
+    "other required": lambda d: glb(d / "a.glb", requires("VENDOR_x")),
+    "skins": lambda d: glb(d / "a.glb", skinned),
+    "triangle fans": lambda d: glb(d / "a.glb", fan),
+    "lines and points": lambda d: glb(d / "a.glb", lines),
+    "animations": lambda d: glb(d / "a.glb", animated),
+    "`COLOR_0`": lambda d: glb(d / "a.glb", colored),
+    "normal, occlusion": lambda d: glb(d / "a.glb", with_normal_map),
+    "pictures that": lambda d: glb(d / "a.glb", optional_basis),
+    "`doubleSided`": lambda d: glb(d / "a.glb", both_sides),
+    "lines (`l`)": lambda d: changed_obj(d, "usemtl m", "l 1 2\np 1\ng part\ns off\nusemtl m"),
+    "colours after": colored_obj,
+    "relative indices": lambda d: changed_obj(d, "f 1/1 3/3 4/4", "f -4/1 -2/3 -1/4\nv 0 0 9"),
+    "paths of `map_Kd`": lambda d: obj(d, "map_Kd textures/base.png"),
+    "options `-s`": lambda d: obj(d, "map_Kd -s 2 2 base.png"),
+    "other options": lambda d: obj(d, "map_Kd -clamp on base.png"),
+    "bump, normal": lambda d: obj(d, "map_Kd base.png\nmap_Bump base.png"),
+    "`comment TextureFile`": lambda d: ply(d / "a.ply", header=PAINTED),
+    "several textures": lambda d: ply(d / "a.ply", header=PAINTED * 2),
+    "PLY | vertex colours": lambda d: ply(d / "a.ply", properties=COLORS, extra=" 9 9 9"),
+    "other properties": lambda d: ply(
+        d / "a.ply", header=PAINTED, properties="property float quality\n", extra=" 0.5"
+    ),
+}
+
+
+def rows() -> list[str]:
+    text = (Path(__file__).parents[3] / "notebooks/capture.md").read_text()
+    table = text.split("**Meshes, field by field.**")[1].split("\n\n")[1]
+    return table.split("\n")[2:]
+
+
+def test_every_row_has_a_case():
+    assert [sum(words in row for words in FIELDS) for row in rows()] == [1] * len(FIELDS)
+
+
+@pytest.mark.parametrize("row", rows())
+def test_treatment_of_a_field(tmp_path, row):
+    (make,) = (make for words, make in FIELDS.items() if words in row)
+    treatment = row.split("|")[-2].strip()
+    if treatment == "refused":
+        with pytest.raises(MeshError):
+            read_textured_mesh(make(tmp_path))
+        return
+    geometry = read_textured_mesh(make(tmp_path))
+    np.testing.assert_allclose(geometry.mesh.positions[geometry.mesh.faces.ravel()], POINTS[FACES])
+    if treatment in ("followed", "harmless"):
+        np.testing.assert_allclose(geometry.mesh.uvs, UVS, atol=1e-6)
+        np.testing.assert_array_equal(geometry.textures["base_color"], PICTURE)
+    assert bool(geometry.notes) == (treatment == "reported" or "paths" in row)
