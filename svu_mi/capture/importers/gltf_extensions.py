@@ -68,7 +68,8 @@ def readable(path: str, record: dict[str, Any], *, geometry_only: bool) -> tuple
             raise MeshError(f"{path}: is deformed by a skeleton; apply its pose before the export.")
         if "mesh" in node and not record["meshes"][node["mesh"]]["primitives"]:
             del node["mesh"]
-    notes = [f"{path}: {left_out} parts are lines or points, which are ignored."] if left_out else []
+    about = f"{path}: {left_out} parts are lines or points, which are ignored."
+    notes = [about] if left_out else []
     if record.get("animations"):
         notes.append(f"{path}: its animations are ignored.")
     return record, notes
