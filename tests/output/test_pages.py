@@ -15,6 +15,7 @@ from svu_mi.output import guidance_page, light_page, object_views, overview, sty
 from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.output.recovery_page import _comparison_panels, write_recovery_overview
 from svu_mi.output.rerender import RenderComparison
+from svu_mi.posterior.prediction import HeldOutPrediction
 from svu_mi.recovery.svbrdf_textures import uniform_textures
 
 
@@ -51,9 +52,13 @@ def test_the_overview_begins_with_the_known_shares(vase, drawn):
     large = [t.get_text() for t in texts(drawn[0]) if t.get_size() > 30]
     assert large == ["3 %", "100 %", ">99 %"]
     assert not overlaps(drawn[0])
+    wrong = replace(vase.estimate, prediction=HeldOutPrediction(0.12, 0.61))
     withheld = replace(summary, known_part={}, withheld="the light was estimated")
     overview.write_overview(vase.capture, vase.estimate, "unused", withheld)
-    assert withheld.sentence() in [t.get_text() for t in texts(drawn[1])]
+    overview.write_overview(vase.capture, wrong, "unused", summary)
+    for figure, told in zip(drawn[1:], (withheld, wrong.prediction), strict=True):
+        assert told.sentence() in [t.get_text() for t in texts(figure)]
+        assert max(t.get_size() for t in texts(figure)) < 30
 
 
 def test_the_first_photograph_is_a_bright_one(vase):
