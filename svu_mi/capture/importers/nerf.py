@@ -38,6 +38,7 @@ SPLITS = ("train", "test", "val")  # usual parts of a data set
 ALL, LISTED = "all", "_filenames"  # all parts; end of the names of nerfstudio's lists of a part
 FOLDERS = ("images", "masks")  # options
 Folders = tuple[Path | None, ...]  # of the photographs and of the masks
+OTHER_CAMERAS = ("latlong", "ortho", "ftheta_p0", "from_mitsuba")  # of instant-ngp
 UNSUPPORTED = ("k5", "k6")  # coefficients that the lens model lacks
 COORDINATE = Field(NUMBER, (), -LARGEST, LARGEST, "pixels", None)
 LENGTH = Field(NUMBER, (), 1 / LARGEST, LARGEST, "pixels", None)
@@ -51,6 +52,7 @@ FRAME = {
     "exposure": Field(NUMBER, (), 1 / LARGEST, LARGEST, default=1.0),
     "camera_model": Field(TEXT, default=""), "is_fisheye": Field(FLAG, default=False),
     "distortion_params": Field(NUMBER, (ITEMS,), -LARGEST, LARGEST, default=()),
+    "rolling_shutter": Field(NUMBER, (ITEMS,), default=()),
     **dict.fromkeys((*COEFFICIENTS, *UNSUPPORTED), COORDINATE._replace(unit="", default=0)),
 }  # fmt: skip
 TRANSFORMS = {
@@ -224,7 +226,12 @@ def parse_frame(
     ``before`` (4, 4) from the left, and ``usual`` is the size of a missing photograph.
     """
     with refusing(label, "a frame needs transform_matrix, w, h, and fl_x or camera_angle_x"):
-        known = checked({**record, **given}, FRAME)
+        both = {**record, **given}
+        known = checked(both, FRAME)
+        if other := [name for name in OTHER_CAMERAS if both.get(name)]:
+            raise ValueError(f"{other[0]} is not supported")
+        if any(known["rolling_shutter"]):
+            raise ValueError("rolling_shutter is not supported")
         image = _image_path(root, known["file_path"], label, folders[0])
         size = width, height = _size(known, image, usual)
         fl_x, fl_y = _focal(known, "x", width), _focal(known, "y", height)
