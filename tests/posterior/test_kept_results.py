@@ -43,6 +43,7 @@ def was_read(result: Estimate) -> set[str]:
 # --- the same results ----------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("clipped", [False, True], ids=["floats", "saturated"])
 def test_results_are_equal_to_the_bit(vase, clipped, tmp_path):
     capture, plain = vase.capture, vase.estimate

@@ -371,6 +371,7 @@ def test_a_checkpoint_of_another_estimate_is_refused(known: svu.Estimate, tmp_pa
         svu.recover(other, sh=brief(), checkpoint=kept, resume=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("what", ["masks", "sensors", "sharing"])
 def test_a_checkpoint_of_another_capture_is_refused(
     capture: Capture, grid: Texels, tmp_path: Path, what: str

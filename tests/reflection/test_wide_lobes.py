@@ -104,6 +104,7 @@ def below(first: object, seen: np.ndarray) -> np.ndarray:
     return np.repeat(seen, np.diff(first.numpy().astype(int)), axis=0)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("count", [64, 100])
 def test_unrefined_lobe_is_the_sum_over_visible_cells(
     count: int, monkeypatch: pytest.MonkeyPatch

@@ -54,6 +54,7 @@ def killed_at(step: int, work: Callable[[], Any]) -> bool:
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == KILLED
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("next_is", ["a reader", "a writer"])
 @pytest.mark.parametrize("atomic", [True, False], ids=["exchange", "two renames"])
 @pytest.mark.parametrize("others", [False, True], ids=["own", "others"])
