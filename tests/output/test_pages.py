@@ -111,3 +111,10 @@ def test_gains_of_proposals_are_percent_of_the_entropy(vase, drawn):
 )  # fmt: skip
 def test_directions_are_where_the_map_has_them(direction, expected):
     assert light_page.map_place(np.array(direction, float)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_up_is_marked_on_maps_of_light():
+    axes = style.new_figure(4, 2).add_subplot()
+    light_page._label_directions(axes, np.array([0.0, 0, 1]))
+    assert {t.get_text(): t.get_position() for t in axes.texts}["up"] == (0.5, 0.25)
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["-Y", "+Y"]
