@@ -40,6 +40,4 @@ class Entropy(EstimateCommand, ResultCommand):
             run = self.run_info(progress)
             summary = write_outputs(capture, result, place, run, pictures=self.pictures)
         warn_if_too_bright(result)
-        predicted = result.prediction
-        shown = [predicted.sentence()] if predicted and predicted.reliable else []
-        return [summary.summary(), *shown]
+        return [summary.summary()]

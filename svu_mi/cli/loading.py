@@ -161,8 +161,11 @@ class EstimateCommand(LitCommand):
         if recovered is not None:
             require_textures_of(capture, recovered)
         estimate = self.estimation.estimate(progress, capture, grid, **options)
-        if estimate.prediction is not None and not estimate.prediction.reliable:
-            warnings.warn(estimate.prediction.sentence(), SvuWarning, stacklevel=2)
+        predicted = estimate.prediction
+        if predicted is not None and predicted.reliable:
+            progress.say(predicted.sentence())
+        elif predicted is not None:
+            warnings.warn(predicted.sentence(), SvuWarning, stacklevel=2)
         return capture, estimate
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from svu_mi.capture.importers.foreign_formats import refuse_foreign
 from svu_mi.core.validation import require_known
 from svu_mi.errors import CaptureError, OptionError
 
@@ -102,11 +101,11 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         )
     recognised = kind == AUTO
     if recognised and path.is_file():
-        refuse_foreign(path)
+        _module("foreign_formats").refuse_foreign(path)
     if recognised:
         kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
     if kind == AUTO:
-        refuse_foreign(path)
+        _module("foreign_formats").refuse_foreign(path)
         raise CaptureError(
             f"{path}: not a capture of a known format; give a folder that contains "
             "transforms.json, cameras.sfm, a COLMAP model, poses_bounds.npy, cameras_sphere.npz, "
@@ -131,4 +130,8 @@ def _recognises(name: str, path: Path, split: str) -> bool:
 
 
 def _reader(name: str) -> Any:
-    return importlib.import_module(f"svu_mi.capture.importers.{FORMATS[name]}")
+    return _module(FORMATS[name])
+
+
+def _module(name: str) -> Any:
+    return importlib.import_module(f"svu_mi.capture.importers.{name}")
