@@ -74,8 +74,8 @@ FIX = "write it again with Meshroom, or export with its node ExportColmap"
 
 
 def recognises(path: Path, _: str) -> bool:
-    """Return whether a path is a file of AliceVision, or a folder that contains one."""
-    return _find(path) is not None
+    """Return whether a path is a file of AliceVision, or a folder with one (no transforms.json)."""
+    return _find(path) is not None and not (path / "transforms.json").is_file()
 
 
 def read(path: Path, options: ReadOptions) -> Source:

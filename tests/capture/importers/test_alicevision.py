@@ -153,3 +153,13 @@ def test_file_without_cameras(tmp_path, text):
     (tmp_path / "cameras.sfm").write_text(text)
     with pytest.raises(CaptureError, match=r"cameras\.sfm: no view has a pose .* Meshroom"):
         read_source(tmp_path)
+
+
+def test_transforms_beside_a_file_of_meshroom_are_read(tmp_path):
+    """Who has converted the poses has them in transforms.json."""
+    frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}
+    shared = {"fl_x": 50, "fl_y": 50, "cx": 8, "cy": 6, "w": 16, "h": 12}
+    (tmp_path / "transforms.json").write_text(json.dumps({**shared, "frames": [frame]}))
+    (tmp_path / "cameras.sfm").write_text(json.dumps({"version": ["1", "2", "6"], "views": []}))
+    (tmp_path / "a.png").write_bytes(b"not read")
+    assert read_source(tmp_path).format == "transforms"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import scipy
 
 from svu_mi.capture.importers.colmap.sparse_model import (
@@ -91,11 +92,13 @@ def read(path: Path, options: ReadOptions) -> Source:
         focal, center = camera.intrinsics
         w, x, y, z = view.rotation
         rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
+        with np.errstate(invalid="ignore"):  # an infinite pose is refused with all others
+            to_world = affine(rotation.T, -rotation.T @ view.translation) @ OPENCV
         frames.append(Frame(
             label=_label(project.model, view),
             image=image,
             mask=mask,
-            to_world=affine(rotation.T, -rotation.T @ view.translation) @ OPENCV,
+            to_world=to_world,
             focal=focal,
             center=center,
             size=(camera.width, camera.height),
