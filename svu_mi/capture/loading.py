@@ -311,9 +311,10 @@ def _light(scene: Any, description: Description, light: Light, folder: Path) -> 
             return None
         if description.imported:
             raise SceneError(
-                f'{folder}: was imported without a light; load it with light="optional" and '
-                "estimate the light with svu.estimate_light(capture, texels), or import it again "
-                "with --environment and the environment map of the photographs.",
+                f'{folder}: was imported without a light; load it with light="optional" and add '
+                "svu.with_light(capture, light): light from svu.load_light() of a folder of svu "
+                "light, or from svu.estimate_light(capture, texels). Or import it again with "
+                "--environment and the environment map of the photographs.",
                 shell=f"{folder}: was imported without a light; estimate it with svu light, or "
                 "import it again with --environment and the environment map of the photographs.",
             )

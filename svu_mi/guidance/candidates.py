@@ -66,7 +66,7 @@ class Candidates:
     @staticmethod
     def of(sensors: Sequence[Any]) -> Candidates:
         """Return candidates from Mitsuba sensors; all are reachable."""
-        names = tuple(sensor.id() or f"view_{i:04d}" for i, sensor in enumerate(sensors))
+        names = tuple(sensor.id() or f"candidate_{i:04d}" for i, sensor in enumerate(sensors))
         return Candidates(tuple(sensors), names, np.ones(len(sensors), bool))
 
     @staticmethod

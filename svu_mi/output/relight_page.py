@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 PAGE = "relight.png"
-HEADING = "Object under another light, with standard deviations"
+HEADING = "Relit object, with standard deviations"
 CELL = 4.2  # inches
 ROWS = 6  # views on the page
 PLAIN = re.compile(r"\w[\w +-]*")  # view names that can be file names

@@ -605,7 +605,7 @@ def test_no_emitter(tmp_path):
     with pytest.raises(SceneError) as refused:
         load_capture(path)
     start = f"{tmp_path / 'images'}: was imported without a light; "
-    assert str(refused.value).startswith(f'{start}load it with light="optional" and estimate the')
+    assert str(refused.value).startswith(f'{start}load it with light="optional" and add svu.wi')
     assert refused.value.shell.startswith(f"{start}estimate it with svu light, or")
 
 
