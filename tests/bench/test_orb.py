@@ -171,7 +171,7 @@ def test_ground_truth_is_required_for_mesh_and_light(written):
     [
         ({"file_path": "../../secret"}, "lies outside"),
         ({"file_path": "/etc/passwd"}, "lies outside"),
-        ({"file_path": 7}, "file_path must be text"),
+        ({"file_path": 7}, r"frames\[1\] must be an object"),
         ({"file_path": "train/9999"}, "9999.exr: no such photograph"),
         ({"scene_name": "../ground_truth"}, "lies outside"),
         ({"scene_name": "cup_scene002/test"}, "must be the name of a capture"),
@@ -179,8 +179,8 @@ def test_ground_truth_is_required_for_mesh_and_light(written):
         ({"transform_matrix": [[1, 2], [3, 4]]}, "a frame needs transform_matrix"),
         ({"transform_matrix": np.diag([-1.0, 1, 1, 1]).tolist()}, "mirrored"),
         ({"camera_angle_x": "wide"}, "a frame needs"),
-        ({"camera_angle_x": 0}, "camera_angle_x must be in"),
-        (None, "file_path must be text"),
+        ({"camera_angle_x": 0}, "camera_angle_x must be a number in"),
+        (None, r"frames\[1\] must be an object"),
     ],
 )
 def test_a_broken_frame_is_named(written, changes, sentence):
