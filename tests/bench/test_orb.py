@@ -171,7 +171,7 @@ def test_ground_truth_is_required_for_mesh_and_light(written):
     [
         ({"file_path": "../../secret"}, "lies outside"),
         ({"file_path": "/etc/passwd"}, "lies outside"),
-        ({"file_path": 7}, r"frames\[1\] must be an object"),
+        ({"file_path": 7}, "file_path must be text"),
         ({"file_path": "train/9999"}, "9999.exr: no such photograph"),
         ({"scene_name": "../ground_truth"}, "lies outside"),
         ({"scene_name": "cup_scene002/test"}, "must be the name of a capture"),
