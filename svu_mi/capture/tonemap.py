@@ -42,10 +42,13 @@ def tone_mapped(
         white: Radiance that becomes white; default: a quantile of the object's pixels.
 
     Returns:
-        (H, W, 3) float32 in [0, 1].
+        (H, W, 3) float32 in [0, 1]. Saturated channels (NaN beside valid ones) are 1, and other
+        NaN pixels grey.
     """
     linear = photograph / (white_radiance(photograph, mask) if white is None else white)
-    return srgb(np.clip(linear, 0, 1))
+    unknown = np.isnan(linear)
+    saturated = unknown & ~unknown.all(axis=2, keepdims=True)
+    return srgb(np.clip(np.where(saturated, 1, linear), 0, 1))
 
 
 def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -12,7 +12,7 @@ import pytest
 from svu_mi.capture import tonemap as module
 from svu_mi.capture.mesh import positions
 from svu_mi.capture.sensors import film_size, make_sensor, projected
-from svu_mi.capture.tonemap import ObjectView, object_only_scene
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, tone_mapped
 from svu_mi.core.arrays import to_drjit
 
 
@@ -77,3 +77,13 @@ def test_points_behind_a_camera_have_negative_depth(vase: SimpleNamespace) -> No
     pixels, depth = projected(place, np.array([[0, 0.2, 9.0], [0, 0.2, 4.0], [0, 0.2, 1.0]]))
     assert np.isfinite(pixels).all()
     np.testing.assert_allclose(depth, [-5, 0, 3], atol=1e-5)
+
+
+def test_saturated_channels_are_shown_as_bright() -> None:
+    """A white pixel with a saturated channel looks white, not coloured; other NaN are grey."""
+    nan = np.nan
+    photograph = np.array([[[1, nan, 0.9], [0.25, 0.25, 0.25], [nan, nan, nan], [1, 1, 1]]])
+    shown = tone_mapped(photograph.astype(np.float32), white=1.0)
+    quarter = 1.055 * 0.25 ** (1 / 2.4) - 0.055
+    expected = [[1, 1, 1.055 * 0.9 ** (1 / 2.4) - 0.055], [quarter] * 3, [0.5] * 3, [1] * 3]
+    np.testing.assert_allclose(shown[0], expected, atol=1e-5)
