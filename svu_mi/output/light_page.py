@@ -26,7 +26,7 @@ from svu_mi.output.interval_summary import plain_percent
 from svu_mi.output.rerender import compare_renders
 from svu_mi.output.run_record import RunInfo, environment_record, inputs_record, write_manifest
 from svu_mi.output.style import LEFT, RIGHT, Block
-from svu_mi.parameters import CHANNELS
+from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.svbrdf_textures import Textures
 
 if TYPE_CHECKING:
@@ -42,7 +42,8 @@ GREY = 0.18  # screen value (linear) of the geometric mean radiance
 DARK = 1e-3  # lower bound of radiance, relative to the mean
 KNOWN_COLORMAP = f"{style.COLORMAP}_r"  # yellow is uncertain, as on all pages
 UNCERTAIN = 1.5  # upper end of the scale of log standard deviations
-GREY_PLASTIC = {"base_color": 0.2, "roughness": 0.25, "metallic": 0.0}  # material in these pictures
+# Material in these pictures.
+GREY_PLASTIC = dict.fromkeys(NAMES, 0.0) | {"base_color": 0.2, "roughness": 0.25}
 POLE = 0.9999  # |y| from which a direction is drawn in the middle column
 AXIS = ((0.0, "-Z"), (0.25, "+X"), (0.5, "+Z"), (0.75, "-X"), (1.0, "-Z"))
 

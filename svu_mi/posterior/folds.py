@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 ENOUGH = 12  # number of views from which s is increased as stated; fewer than 4 do not increase it
-SAMPLE = 1200  # number of texels
+SAMPLE = 800  # number of texels
 MIN_VIEWS = 6  # minimum number of views of a texel
 SHARED = 1.3  # a
 ROUNDS = 20  # rounds of k-means

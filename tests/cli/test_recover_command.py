@@ -133,7 +133,8 @@ def interrupt_after(monkeypatch, steps):
 def brighter(shot, folder):
     """Return the capture with one photograph twice as bright."""
     for path in shot.iterdir():
-        (folder / path.name).write_bytes(path.read_bytes())
+        if path.is_file():
+            (folder / path.name).write_bytes(path.read_bytes())
     image = read_exr(folder / "view_0002.exr")
     write_exr(folder / "view_0002.exr", {c: (1 if c == "A" else 2) * image[c] for c in "RGBA"})
     return folder

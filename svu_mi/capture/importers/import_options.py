@@ -73,7 +73,8 @@ class ImportOptions:
     """Compute new UVs, and ignore textures: for overlapping UVs, or several materials."""
     faces: int | None = None
     """Number of faces, at least 100, to which a mesh without UVs is simplified. Use it for scans of
-    more than some 200 000 faces; at a fifth of the faces, roughness loses 1.3 to 1.6 dB."""
+    more than some 200 000 faces; at a fifth of the faces, roughness loses 1.3 to 1.6 dB. Default:
+    all faces."""
     environment: Light | None = None
     """Environment map (default: the map of the source, else no light)."""
     exposures: str | Path | None = None
