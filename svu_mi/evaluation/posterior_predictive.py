@@ -18,7 +18,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.light.light_visibility import is_unoccluded
-from svu_mi.posterior.calibrated_problem import spline_weights
+from svu_mi.posterior.calibrated_problem import level_shares
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
@@ -91,10 +91,7 @@ class Prediction:
 
 def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
     """Return the spline weight of each level at (n,) roughness values: R Floats."""
-    near, weights = spline_weights(roughness.astype(np.float64), levels)
-    shares = np.zeros((len(roughness), len(levels)))
-    np.add.at(shares, (np.arange(len(roughness))[:, None], near), weights)
-    return _floats(shares)
+    return _floats(level_shares(roughness, levels))
 
 
 def diffuse_seen_from(

@@ -168,3 +168,11 @@ def spline_weights(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, 
     weights = catmull_rom(place - begin)
     near = np.clip(begin[:, None] + np.arange(-1, 3), 0, last).astype(int)
     return near, np.stack(weights, axis=1)
+
+
+def level_shares(values: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """Return the spline weight of each of R levels at (n,) values, (n, R) float64."""
+    near, weights = spline_weights(values.astype(np.float64), levels)
+    shares = np.zeros((len(values), len(levels)))
+    np.add.at(shares, (np.arange(len(values))[:, None], near), weights)
+    return shares

@@ -92,15 +92,14 @@ def statistics_posterior(
         return _posterior(inputs, switches, factors, None, count)
     scale, copies = observed.unit, inputs.plan.copies
     problem = problem_of(factors, inputs.grid, scale, switches, inputs.prior, copies)
-    prior = None if inputs.prior is None else np.asarray(inputs.prior)
     fitted = observed.cache.recall(
-        "posterior", [*_statistics_inputs(inputs, switches), inputs.grid, prior, copies],
+        "posterior", _posterior_inputs(inputs, switches),
         lambda: fit(problem, switches, scale, _rounding(observed, switches)),
         pack_fit, partial(restore_fit, problem=problem),
     )  # fmt: skip
     seen = observed_by("estimate()", factors, copies, count)
     posterior = posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
-    return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
+    return _widened(posterior, inputs)
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
@@ -109,13 +108,23 @@ def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list
     return [switches, _levels(inputs, switches), plan.channels, plan.light_channels]
 
 
+def _posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
+    """Return all inputs of the posterior in addition to those of ``observed.cache``."""
+    prior = None if inputs.prior is None else np.asarray(inputs.prior)
+    return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
+
+
+def _widened(posterior: Posterior, inputs: EstimatorInputs) -> Posterior:
+    """Return the posterior with the factors of standard deviations of the test by folds."""
+    return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
+
+
 def with_folds(inputs: EstimatorInputs, switches: AngularPreset) -> EstimatorInputs:
     """Return inputs with the test by folds of the views (``folds``, ``prediction``)."""
     if not switches.folds or switches.noise != "estimated":
         return inputs
-    prior = None if inputs.prior is None else np.asarray(inputs.prior)
     test = inputs.observed.cache.recall(
-        "folds", [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies],
+        "folds", _posterior_inputs(inputs, switches),
         lambda: _test_by_folds(inputs, switches), pack_test, restore_test,
     )  # fmt: skip
     return replace(inputs, test=test)
@@ -260,7 +269,7 @@ def _posterior(
             factors, inputs.grid, seen.unit, switches, prior=inputs.prior, copies=plan.copies,
             texels=texels, light_uncertainty=seen.capture.light_uncertainty, rounding=rounding,
         )  # fmt: skip
-        return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
+        return _widened(posterior, inputs)
     return angular_posterior(
         factors, inputs.grid, seen.unit, switches,
         prior=inputs.prior, copies=plan.copies, levels=plan.levels, texels=texels,

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.calibrated_problem import spline_weights
+from svu_mi.posterior.calibrated_problem import level_shares
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.cholesky_factors import PAIRS
+from svu_mi.statistics.cholesky_factors import pair_weights
 from svu_mi.statistics.statistics import Statistics
 
 MARGIN = 1.3  # largest ratio of the variances that a sound model and the means leave unexplained
@@ -80,16 +80,18 @@ def predict(
     groups, channels = 1 + len(there), statistics.channels
     table = statistics.table()
     table = table.reshape(*table.shape[:3], groups, -1)
-    left_out = table[..., :1, :] - table[..., 1:, :]  # (R, C, P, F, t)
+    held_out = table[..., :1, :] - table[..., 1:, :]  # (R, C, P, F, t)
     of_folds = {name: values.reshape(groups, -1, values.shape[-1])[1:]
                 for name, values in means.items()}  # fmt: skip
     mix = mixture(*(of_folds[name][..., 0] for name in MIXED))
     error = np.zeros(there.shape)
-    shares = _level_weights(of_folds["roughness"][..., 0], statistics.roughness)
+    roughness = of_folds["roughness"][..., 0]
+    shares = level_shares(roughness.ravel(), statistics.roughness).reshape(*roughness.shape, -1)
     for channel in range(channels):
         x = np.broadcast_arrays(*mix.at(of_folds["base_color"][..., channel]))
-        forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
-        error += np.einsum("rft,rpft,pft->ft", shares, left_out[:, channel], forms, optimize=True)
+        error += np.einsum(
+            "ftr,rpft,pft->ft", shares, held_out[:, channel], pair_weights(x), optimize=True
+        )
     moments = moments.reshape(1 + 2 * channels, groups, -1)
     weight, first, second = np.split(moments[:, :1] - moments[:, 1:], [1, 1 + channels])
     others, of_others, _ = np.split(moments[:, 1:], [1, 1 + channels])
@@ -103,12 +105,3 @@ def predict(
     return HeldOutPrediction(
         float(1 - np.maximum(error[there], 0).sum() / total), float(1 - by_means.sum() / total)
     )
-
-
-def _level_weights(roughness: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Return spline weights of the R levels at (F, t) roughness, (R, F, t)."""
-    near, weights = spline_weights(roughness.ravel().astype(np.float64), levels)
-    shares = np.zeros((len(levels), roughness.size))
-    for k in range(near.shape[1]):
-        np.add.at(shares, (near[:, k], np.arange(roughness.size)), weights[:, k])
-    return shares.reshape(len(levels), *roughness.shape)

@@ -28,6 +28,11 @@ FLOOR = len(PAIRS) - 1  # index of the last entry, which is stored as a square
 TINY = 1e-13  # pivots below this fraction of the diagonal are rounding errors
 
 
+def pair_weights(x: Sequence[np.ndarray]) -> np.ndarray:
+    """Return weights (P, ...) of the sums of pairs of columns in the squared error of ``x``."""
+    return np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
+
+
 @dataclass(frozen=True)
 class Factors:
     """Factors U of S texels at R roughness levels in C channels.

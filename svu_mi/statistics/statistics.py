@@ -25,7 +25,7 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics import texel_blocks as blocks
-from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize
+from svu_mi.statistics.cholesky_factors import PAIRS, Factors, factorize, pair_weights
 
 EDGES = AngularPreset.edges  # eta
 PARTLY = 0.01  # tolerance when the number of views is rounded down
@@ -182,10 +182,9 @@ class Statistics:
         """Return weighted mean squared errors at grid nodes, (S, R, C, M ..., K); 0 if unseen."""
         *mixed, color = np.meshgrid(*nodes, indexing="ij")
         x = mixture(*mixed).at(color)
-        forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
         mean = self.table() / np.maximum(self.weight, 1e-300)
         # Rounding can make a sum of squares negative.
-        return np.maximum(np.einsum("rcps,p...->src...", mean, forms, optimize=True), 0)
+        return np.maximum(np.einsum("rcps,p...->src...", mean, pair_weights(x), optimize=True), 0)
 
     @staticmethod
     def of(
