@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import struct
 from pathlib import Path
 from typing import Any
@@ -10,14 +9,12 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from svu_mi.capture.image_formats.camera_packages import required
 from svu_mi.capture.image_formats.color_space import ColorSpace, from_cicp
 from svu_mi.capture.image_formats.icc_profile import not_followed, read_profile
-from svu_mi.capture.image_formats.image_header import ImageHeader, without_warnings
-from svu_mi.errors import CaptureError
+from svu_mi.capture.image_formats.image_header import ORIENTATION, ImageHeader, without_warnings
 
 HEADER = 2**16  # bytes at the start that contain the properties
-ORIENTATION = 0x0112  # EXIF tag
-MISSING = "is read by the package {0}; install it with: pip install 'svu_mi[camera]'"
 
 
 def open_avif(path: Path) -> ImageHeader:
@@ -83,11 +80,3 @@ def _heic(path: Path) -> Any:
 
 def _with_channels(values: np.ndarray) -> np.ndarray:
     return values[..., None] if values.ndim == 2 else values
-
-
-def required(name: str, path: Path) -> Any:
-    """Return a module of the extra ``camera``."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise CaptureError(f"{path}: {MISSING.format(name.replace('_', '-'))}.") from error

@@ -13,6 +13,7 @@ from svu_mi.capture.image_formats.color_space import ColorSpace
 from svu_mi.core.io.files import may_hold
 from svu_mi.errors import CaptureError
 
+ORIENTATION = 0x0112  # EXIF tag
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may contain any number
 
 _silent = threading.Lock()  # warnings.catch_warnings is not thread-safe

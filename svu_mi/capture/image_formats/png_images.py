@@ -19,7 +19,7 @@ from svu_mi.capture.image_formats.color_space import (
     gamma_curve,
 )
 from svu_mi.capture.image_formats.icc_profile import LARGEST, not_followed, read_profile
-from svu_mi.capture.image_formats.image_header import ImageHeader
+from svu_mi.capture.image_formats.image_header import ORIENTATION, ImageHeader
 from svu_mi.capture.tone_curve import SampledCurve, Transfer
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -28,7 +28,6 @@ UNIT = 100_000  # of gamma and chromaticities
 # libpng, too, takes 1 / 2.2 for sRGB, which most writers of this value mean.
 SRGB_GAMMA = range(45_000, 46_000)
 WHITE_FIRST = (2, 3, 4, 5, 6, 7, 0, 1)  # order of cHRM: white, red, green, blue
-ORIENTATION = 0x0112  # EXIF tag
 
 
 def open_png(path: Path) -> ImageHeader:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.capture.image_formats.camera_packages import required
 from svu_mi.capture.image_formats.color_space import REC_709, ColorSpace, rgb_to_xyz
-from svu_mi.capture.image_formats.heif_images import required
 from svu_mi.capture.image_formats.image_header import ImageHeader, require_plausible
 from svu_mi.core.silence_openexr import quiet
 
-ORIENTATION = {0: 1, 3: 3, 5: 8, 6: 6}  # EXIF orientation by LibRaw's flip
+ORIENTATION_OF_FLIP = {0: 1, 3: 3, 5: 8, 6: 6}  # EXIF orientation by LibRaw's flip
 NO_MATRIX = "LibRaw has no colour matrix of this camera; colours are not converted."
 
 
@@ -27,7 +27,7 @@ def open_raw(path: Path) -> ImageHeader:
     remarks = () if color.matrix is not None else (NO_MATRIX,)
     return ImageHeader(
         size=(sizes.width, sizes.height), bits=16, color=color,
-        orientation=ORIENTATION.get(sizes.flip, 1), remarks=remarks,
+        orientation=ORIENTATION_OF_FLIP.get(sizes.flip, 1), remarks=remarks,
     )  # fmt: skip
 
 
