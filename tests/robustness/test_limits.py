@@ -36,7 +36,7 @@ ABSURD = [
     (("render", VASE, "--views", 10**9), r"--views: at most 10000 are supported, got 10+; use"),
     (
         ("render", VASE, "--views", 1, "--resolution", 10**6),
-        "film must be 2 whole numbers in \[1, 65536\]",
+        r"film must be 2 whole numbers in \[1, 65536\]",
     ),
     (("render", VASE, "--spp", 10**9), "spp must be at most 65535|spp must be at most 16383"),
     (("render", VASE, "--spp", 10**12), r"--spp must be at least 1 and below 2\^32, got 10+\."),

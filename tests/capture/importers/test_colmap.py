@@ -277,11 +277,11 @@ TEXT = {
     "nan": ({"cameras": "1 PINHOLE 8 6 nan 9 4 3"}, "NaN"),
     "no size": (
         {"cameras": "1 PINHOLE 0 6 9 9 4 3"},
-        "size must be 2 whole numbers in \[1, 65536\]",
+        r"size must be 2 whole numbers in \[1, 65536\]",
     ),
     "a huge size": (
         {"cameras": "1 PINHOLE 99999999999 6 9 9 4 3"},
-        "size must be 2 whole numbers in \[1, 65536\]",
+        r"size must be 2 whole numbers in \[1, 65536\]",
     ),
     "a huge centre": ({"cameras": "1 PINHOLE 8 6 9 9 4e300 3"}, "principal point"),
     "a negative camera": ({"cameras": f"-{CAMERA_LINE}"}, "-1 is not a valid id"),
@@ -316,7 +316,7 @@ BINARY = {
     "a huge width": (
         "cameras.bin",
         lambda b: b[:16] + b"\xff" * 8 + b[24:],
-        "size must be 2 whole numbers in \[1, 65536\]",
+        r"size must be 2 whole numbers in \[1, 65536\]",
     ),
     "half an image": ("images.bin", lambda b: b[:40], "ends too early"),
     "many images": ("images.bin", lambda b: b"\xff" * 8 + b[8:], "at most 10000 are"),

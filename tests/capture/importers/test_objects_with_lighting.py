@@ -146,7 +146,7 @@ BROKEN = {
     "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "24 numbers .* 1e.300"),
     "a large size": (
         {CAMERA: GOOD.replace("8 6", "1e9 6")},
-        "size must be 2 whole numbers in \[1, 65536\]",
+        r"size must be 2 whole numbers in \[1, 65536\]",
     ),
     "no photograph": ({"inputs/image_0000.png": None}, "image_0000.png: no such photograph"),
     "no camera": ({CAMERA: None}, "no camera_0000.txt"),
