@@ -141,7 +141,13 @@ def plan_capture(
         remembered, scene=xml, shape=remembered.shape if shape is None else shape,
         defines={**remembered.defines, **(defines or {})},
     )  # fmt: skip
-    scene = load_scene(xml, description.defines, trust=trust, float_textures=float_textures)
+    try:
+        scene = load_scene(xml, description.defines, trust=trust, float_textures=float_textures)
+    except SceneError as error:
+        if xml == path or xml.is_relative_to(folder.resolve()):
+            raise
+        label = f"{folder / capture_folder.FILE}: its scene"
+        raise SceneError(f"{label} {error}", shell=f"{label} {error.shell}") from error
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
     if images is None:
         folder = photographs_of(path, [sensor.id() for sensor in sensors])

@@ -251,6 +251,18 @@ def write_mesh(folder: Path, name: str, *, painted: bool = False, **options: obj
         (folder / name).write_text(json.dumps(record))
 
 
+def _obj_material(folder: Path) -> None:
+    """A mesh whose material has options, comments, and statements that are not read."""
+    write_mesh(folder, "mesh.obj", painted=True)
+    write_integers(folder, "base color.png", "RGB")
+    (folder / "material.mtl").write_text(
+        "# exported\nnewmtl material_0\nKa 1 1 1\nKd .8 0.8 1e-1 # grey\nNs 250.5\nillum 2\n"
+        'map_Kd -o 0 0 0 -s 1 1 -mm 0 1 -clamp on "base color.png"\n'
+        "map_Bump -bm 0.5 \\\nmaterial_0.png\nnorm material_0.png\nPr 0.5\nPm 0\n\n"
+        "newmtl other\nKd 1 0 0\nmap_Kd material_0.png\n"
+    )
+
+
 def _source(folder: Path, **fields: Any) -> Source:
     """Write a photograph, a mask and a light, and return two frames of them."""
     folder.mkdir(exist_ok=True)
@@ -412,6 +424,7 @@ def _all_formats() -> Iterator[Format]:
     for suffix in ("glb", "gltf", "obj"):
         make = partial(write_mesh, name=f"mesh.{suffix}", painted=True)
         yield Format(name=suffix, make=make, read=mesh)
+    yield Format(name="mtl", make=_obj_material, read=mesh, targets="*.mtl", share=2)
     for name, suffix, options in (
         ("ply-binary", "ply", {}), ("ply-ascii", "ply", {"encoding": "ascii"}),
         ("stl-binary", "stl", {}), ("stl-ascii", "stl", {"file_type": "stl_ascii"}),
