@@ -34,7 +34,7 @@ from svu_mi.capture.importers.mesh_materials import (
 )
 from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
-from svu_mi.capture.importers.source_files import find_file, substitutions
+from svu_mi.capture.importers.source_files import LARGEST_TEXT, find_file, substitutions
 from svu_mi.capture.mesh import MeshArrays, check_buffers, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
@@ -299,6 +299,11 @@ class _FolderResolver(trimesh.resolvers.Resolver):
                 self.missing.append(path.name)
                 raise FileNotFoundError(f"no file {path.name}")
             self.found[name] = path
+            largest = LARGEST_TEXT if path.suffix.lower() == MTL else MAX_BYTES
+            if path.stat().st_size > largest:  # trimesh would ignore it without memory
+                raise ValueError(
+                    f"{path.name} is larger than {largest >> 20} MiB; export a smaller one"
+                )
             if path.suffix.lower() == MTL:
                 text = path.read_text(encoding="utf-8", errors="surrogateescape")
                 return "\n".join(rewritten(text)).encode(errors="surrogateescape")

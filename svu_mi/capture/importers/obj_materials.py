@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import takewhile
 
 PICTURE = "map_kd"
 QUOTED = re.compile(r"""(["'])(.*?)\1""")
+WORD = re.compile(r"\S+")
 COMMENT = re.compile(r"(?:^|\s)#")  # other # belong to names
 # Numbers or words that follow an option of a texture; of the options with a range, at most.
 OPTIONS = {
@@ -31,24 +33,21 @@ def rewritten(text: str) -> Iterator[str]:
 
 def _picture(statement: str) -> str:
     """Return the name of the picture of a statement without its options."""
-    words = statement
-    while words.startswith("-") and words.split()[0].lower() in OPTIONS:
-        option, *rest = words.split()
-        option = option.lower()
-        count = 0
-        while count < min(OPTIONS[option], len(rest) - 1) and (
-            count == 0 and option not in MOVING or _is_number(rest[count])
-        ):
-            count += 1
-        values = [float(word) for word in rest[:count] if option in MOVING]
-        if any(value != MOVING[option] for value in values):
+    words = list(WORD.finditer(statement))
+    first, last = 0, len(words) - 1
+    while first < last and (option := words[first][0].lower()) in OPTIONS:
+        values = [word[0] for word in words[first + 1 : min(first + 1 + OPTIONS[option], last)]]
+        leading = 0 if option in MOVING else len(values[:1])
+        numbers = list(takewhile(_is_number, values[leading:]))
+        if option in MOVING and any(float(number) != MOVING[option] for number in numbers):
             raise ValueError(
                 f"its texture is moved or scaled by {option}; apply that to the UVs, or import "
                 "only the geometry with --geometry-only."
             )
-        words = words.split(maxsplit=count + 1)[-1]
-    quoted = QUOTED.match(words)
-    return quoted[2] if quoted else words
+        first += 1 + leading + len(numbers)
+    name = statement[words[first].start() :] if words else ""
+    quoted = QUOTED.match(name)
+    return quoted[2] if quoted else name
 
 
 def _is_number(word: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -270,6 +271,24 @@ def test_moved_textures_are_refused(tmp_path, option):
     with pytest.raises(MeshError, match=f"moved or scaled by {name}; apply .*--geometry-only"):
         read_textured_mesh(path)
     assert read_textured_mesh(path, geometry_only=True).mesh.uvs is None
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [("-clamp", "-clamp"), ("-o 0 0", "0"), ("-bm -s 1", "1"), ("-clamp on " * 50_000 + "a", "a")],
+)
+def test_the_last_word_of_a_statement_is_the_picture(tmp_path, options, name):
+    (note,) = read_textured_mesh(obj(tmp_path, f"map_Kd {options}")).notes
+    assert note == f"{tmp_path / 'mesh.obj'}: refers to {name}, which does not exist."
+
+
+@pytest.mark.parametrize(("name", "limit"), [("mesh.mtl", 16), ("base.png", 2048)])
+def test_files_of_a_mesh_that_are_too_large_are_refused_unread(tmp_path, name, limit):
+    path = obj(tmp_path, "map_Kd base.png")
+    os.truncate(tmp_path / name, 2**38)  # without the memory for it, trimesh would leave it out
+    sentence = f"mesh.obj: {name} is larger than {limit} MiB; export a smaller one"
+    with pytest.raises(MeshError, match=sentence):
+        read_textured_mesh(path)
 
 
 def test_geometry_only_opens_no_material(tmp_path):
