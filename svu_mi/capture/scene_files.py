@@ -127,7 +127,8 @@ class _Reader:
             return text
         for name in sorted(filter(None, self._parameters), key=len, reverse=True):
             value = self._parameters[name]
-            if len(text) + text.count(f"${name}") * len(value) > LONGEST_VALUE:
+            more = len(value) - len(name) - 1
+            if len(text) + text.count(f"${name}") * more > LONGEST_VALUE:
                 problem = f"with its $parameters, a value has over {LONGEST_VALUE} characters"
                 raise self._error(problem, "shorten it")
             text = text.replace(f"${name}", value)

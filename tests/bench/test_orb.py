@@ -129,8 +129,15 @@ def test_the_light_turns_with_the_camera_of_its_photograph(written):
         np.testing.assert_allclose(light.to_world, shot.to_world[:3, :3], atol=1e-12)
         pixels, _, _ = read_environment_map(light)
         np.testing.assert_allclose(pixels[1::2], shot.environment, rtol=1e-6)  # others: between
+    assert "2 environment maps, one per test photograph; the map of 0003" in read_orb(path).notes[0]
     with pytest.raises(OptionError, match="'0000'; use one of 0003, 0004"):
         read_orb(path, environment_view="0000")
+
+
+def test_a_single_environment_map_is_no_choice(written):
+    root, _, (capture, _) = written
+    (root / "ground_truth" / capture.name / "env_map" / "0004.exr").unlink()
+    assert not any("one per test" in n for n in read_orb(root / "blender_HDR" / capture.name).notes)
 
 
 def test_photographs_of_other_places_have_a_pose_here(written):

@@ -63,6 +63,8 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
     assert record["timings_s"] and record["environment"]["versions"]["mitsuba"]
     lines = (tmp_path / "losses.csv").read_text().splitlines()
     assert len(lines) == record["result"]["steps"] + 1 == 21
+    for name, line in (("first_loss", lines[1]), ("last_loss", lines[-1])):
+        assert float(line.split(",")[1]) == pytest.approx(record["result"][name])
     scene = mi.load_file(str(tmp_path / "recovered.xml"))
     assert len(scene.sensors()) == 8
     entropy, coverage = (read_exr(tmp_path / f"{n}.exr")["Y"] for n in ("entropy", "coverage"))

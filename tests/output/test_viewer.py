@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 import time
 import urllib.request
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
 import pytest
+import viser
 from support.browser import SECONDS, Browser
 from support.helpers import memory_capture, posed, render_ball, write_scene
 from support.unseen import blind
@@ -243,6 +247,44 @@ def test_a_world_with_z_up_and_no_visible_texel(capture, known):
 
 def _interrupt():
     raise KeyboardInterrupt
+
+
+def test_what_a_browser_does_becomes_a_task_and_what_the_program_does_none(
+    capture, known, monkeypatch
+):
+    heard = {}
+    for kind in (viser.GuiDropdownHandle, viser.GuiCheckboxHandle, viser.GuiSliderHandle):
+        monkeypatch.setattr(kind, "on_update", lambda self, work: heard.update({self.label: work}))
+    frustum_of = viser.CameraFrustumHandle
+    monkeypatch.setattr(frustum_of, "on_click", lambda self, work: heard.update({self.name: work}))
+    monkeypatch.setattr(viser.SceneApi, "on_click", lambda _: partial(heard.setdefault, "click"))
+    viewer = Viewer(capture, known, port=0)
+    try:
+        camera = SimpleNamespace(aspect=1.0)
+        page = SimpleNamespace(camera=camera)
+        above = {"ray_origin": (0, 5, 0), "ray_direction": (0, -1, 0)}
+
+        def happens(name, at=(0, 0), client=page):
+            event = SimpleNamespace(client=client, screen_pos=at, **above)
+            asyncio.run(heard[name](event))
+            return viewer.work(0)
+
+        viewer._choice.value = "coverage"
+        assert not happens("map", client=None)
+        assert happens("map") and list(viewer._shown) == ["entropy", "coverage"]
+        viewer._cameras.value = False
+        assert happens("show") and not any(each.visible for each in viewer._frusta)
+        viewer._through.value = capture.names[SIDEWAYS]
+        assert happens("look from")
+        np.testing.assert_allclose(camera.position, to_world(capture.sensors[SIDEWAYS])[:3, 3])
+        assert not viewer._plot.visible
+        assert happens("/cameras/0000", at=(3, 4))
+        np.testing.assert_allclose(camera.position, to_world(capture.sensors[0])[:3, 3])
+        assert happens("click", at=(3, 4)) and viewer.picked is None  # the same click, on a camera
+        assert happens("/cameras/0000", at=(5, 6)) and happens("click", at=(5, 6))
+        assert viewer.picked.position[1] > 0.9 and viewer._plot.visible
+    finally:
+        viewer.stop()
 
 
 def test_bad_ports_and_a_missing_viser_are_one_sentence(capture, known, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -246,6 +247,14 @@ def test_parameters_that_multiply_are_refused(tmp_path):
     many = "".join(f'<default name="p{k}" value="$p{k - 1}"/>' for k in range(2000))
     with pytest.raises(SceneError, match="more than 1000 parameters"):
         load_scene(write_scene(tmp_path, extra=many))
+
+
+@pytest.mark.parametrize(("last", "fits"), [("", True), ("b", False)])
+def test_a_value_may_have_65536_characters(tmp_path, last, fits):
+    words = f'<default name="a" value="{"a" * 32_768}"/><string name="x" value="$a$a{last}"/>'
+    path = write_scene(tmp_path, extra=words)
+    with contextlib.nullcontext() if fits else pytest.raises(SceneError, match="over 65536"):
+        check_xml(path, {})
 
 
 def test_time_grows_with_the_length_of_an_attribute(tmp_path):

@@ -6,6 +6,7 @@ import re
 import sys
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.capture import mesh
 from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.rendering import plan_render
-from svu_mi.cli.loading import light_search_need, photograph_memory
+from svu_mi.cli.loading import LitCommand, light_search_need, photograph_memory
 from svu_mi.core import memory
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
@@ -66,6 +67,22 @@ def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     )
     need = needed("recover", SIXTY, (2048, 1024))
     assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8 GB.")
+
+
+@pytest.mark.parametrize("given", [None, "light.exr"])
+def test_a_search_for_the_light_is_counted_only_where_it_happens(given):
+    asked, dark = [], Sizes([(8, 8)] * 3, lit=False)
+    small = partial(Need, "entropy", resolution=(8, 8), model="default")
+
+    def load(_, need, *others):
+        asked.append(need)
+        raise InterruptedError
+
+    command = SimpleNamespace(light=given, load=load)
+    with pytest.raises(InterruptedError):
+        LitCommand.load_with_light(command, Progress(), small, (8, 8))
+    assert (asked[0](dark).bytes > small(dark).bytes) == (given is None)
+    assert asked[0](replace(dark, lit=True)).bytes == small(dark).bytes
 
 
 def test_photographs_leave_memory_for_texels_by_default(monkeypatch, shot):

@@ -216,15 +216,16 @@ def blacks(frames, folder) -> list[str]:
     return [note for note in photograph_notes(frames, pictures) if "blacks" in note]
 
 
-def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path):
+@pytest.mark.parametrize(("part", "percent"), [(0.25, "25%"), (0.04, "4%")])
+def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path, part, percent):
     (tmp_path / "other").mkdir()
-    frames = [dark(tmp_path / "other", 0.0), dark(tmp_path, 0.25)]
+    frames = [dark(tmp_path / "other", 0.0), dark(tmp_path, part)]
     assert blacks(frames, tmp_path) == [
-        "1 of 2 photographs, a.png first, have crushed blacks (25% of the object's pixels have a "
-        "channel of 0): darker radiance is lost; expose longer or use HDR."
+        f"1 of 2 photographs, a.png first, have crushed blacks ({percent} of the object's pixels "
+        "have a channel of 0): darker radiance is lost; expose longer or use HDR."
     ]
     picture, image, _ = converted(frames[1], tmp_path / "out.exr")
-    assert picture.crushed == 0.25 and picture.invalid == 0
+    assert picture.crushed == part and picture.invalid == 0
     assert image[0, 0].tolist() == [image[9, 9, 0], 0, image[9, 9, 2]]
 
 
