@@ -7,8 +7,8 @@ import pytest
 from support.helpers import ball
 
 from svu_mi.capture.mesh import make_mesh
-from svu_mi.capture.mesh_scale import FACTORS, wrong_scale
-from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.capture.mesh_scale import FACTORS, framing, wrong_scale
+from svu_mi.capture.sensors import make_sensor, sphere_sensors
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +30,18 @@ def test_the_factor_of_usual_units_is_found(sensors, factor, place):
     assert wrong is not None and wrong.factor == pytest.approx(factor)
     assert wrong.sentence(2.0).endswith(f"import with --mesh-scale {2 * factor:.4g}.")
     assert wrong.sentence(None).endswith(f"scale the shape by {factor:.4g}.")
+
+
+def test_a_point_in_the_plane_of_the_camera_is_not_framed():
+    """The focal length is 8 pixels of 16: the others are 4 pixels left and right of the centre."""
+    record = {
+        "to_world": np.eye(4), "x_fov": 90, "clip": (0.1, 10), "film": (16, 16),
+        "crop_offset": (0, 0), "crop_size": (16, 16), "principal_point_offset": (0, 0),
+    }  # fmt: skip
+    share, size = framing(
+        np.array([[-0.5, 0, 1], [0.5, 0, 1], [3, 0, 0]]), [make_sensor(record, "any")]
+    )
+    assert share == pytest.approx(2 / 3) and size == pytest.approx(0.5)
 
 
 def test_points_of_the_surroundings_do_not_count(sensors):

@@ -139,7 +139,7 @@ def test_stretched_round_shapes_are_refused(tmp_path, kind, scale):
         find_target(load_scene(path), None, "scene.xml")
 
 
-@pytest.mark.parametrize("scale", [(1, 1, 0), (0, 0, 0), (1, 1e9, 1)])
+@pytest.mark.parametrize("scale", [(1, 1, 0), (0, 0, 0), (1, 1e9, 1), (1, 2e6, 1)])
 def test_disks_without_an_extent_are_refused(tmp_path, scale):
     path = scene_of(tmp_path, shape("disk", scale=scale)[0])
     with pytest.raises(SceneError, match="'disk-0'.*flattens it; correct its scale"):

@@ -17,6 +17,7 @@ import viser
 from support.browser import SECONDS, Browser
 from support.helpers import memory_capture, posed, render_ball, write_scene
 from support.unseen import blind
+from websockets.sync.client import connect
 
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe, make_sensor
@@ -216,6 +217,9 @@ def test_a_page_is_served_here_alone_until_interrupted(capture, known, quarters,
     viewer = Viewer(capture, known, quarters, port=0, up="z")
     assert viewer.url.startswith("http://127.0.0.1:")
     assert "<html" in page(viewer.url)
+    address, version = viewer.url.replace("http", "ws"), f"viser-v{viser.__version__}"
+    with connect(address, subprotocols=[version], max_size=None) as socket:
+        socket.recv()
     assert "recovered roughness" in viewer.maps
     viewer.pick((0, 5, 0), (0, -1, 0))
     assert viewer.picked.position[1] > 0.9

@@ -185,6 +185,7 @@ def test_lists_and_numbers_do_not_run_together():
     digests = [Key(*values).digest() for values in (
         ([1], [2]), ([1, 2], []), ([1, 2],), (1, 2), ([[1], 2],), ({"1": 2},), (12,), ("12",),
         (12.0,), (np.array(12),), (np.array([12]),), (np.array(12.0),), (None,), (),
+        (["1", 2],), ({},), ({"1": 2, "3": 4},), ({"1": 2}, {"3": 4}), ({"1": 2}, ["3", 4]),
     )]  # fmt: skip
     assert len(set(digests)) == len(digests)
 

@@ -65,5 +65,4 @@ def _draw_thumbnail(path: Path, _time: int) -> PageImage:
     from PIL import Image
 
     with Image.open(path) as image:
-        image.draft("RGB", (4 * SIDE, 4 * SIDE))
         return embedded_png(np.asarray(image.convert("RGB"), np.float32) / 255, 2 * SIDE)
