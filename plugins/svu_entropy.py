@@ -104,6 +104,8 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             'shading': True
     """
 
+    needs_light = False  # read by ``svu render``
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         require_variant("svu_entropy")

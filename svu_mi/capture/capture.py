@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.array_cache import ArrayCache
+from svu_mi.errors import SvuWarning
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,12 @@ class Capture:
             *([] if self.source is None else [f"from {self.source}"]),
         ]
         return f"<Capture {self.shape.id()}: {', '.join(parts)}>"
+
+    def warned(self, *sentences: str) -> Capture:
+        """Issue warnings; return a copy that lists them in records and reports."""
+        for sentence in sentences:
+            warnings.warn(sentence, SvuWarning, stacklevel=3)
+        return replace(self, warnings=(*self.warnings, *sentences)) if sentences else self
 
     @property
     def count(self) -> int:

@@ -34,6 +34,7 @@ WRAPPERS = {  # names of unsupported BSDFs in str(bsdf), and their description
 }  # fmt: skip
 NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
 BLACK = 0.05  # largest reflectance of black cloth, paper or paint
+UNMODELLED = "which svu does not account for"
 HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
 SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
 SHAPES = 5  # shapes that a message lists by name
@@ -69,7 +70,7 @@ def check_photographs(
         text = (
             f"{bits}-bit, not HDR; decoded as {_curves(group)}, "
             f"{sum(one[0].saturated for one in group)} "
-            "saturated pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."
+            "saturated pixels are lower bounds of radiance. Clipped highlights hide gloss: use HDR."
         )
         groups.append((group, text))
     count = sum(one[0].invalid for one in taken)
@@ -107,17 +108,17 @@ def unsupported(scene: Any, target: Any, materials: Sequence[Any] = ()) -> list[
     found = [name for bsdf in materials or [target.bsdf()] for name in _of_material(bsdf)]
     if features := list(dict.fromkeys(found)):
         notes.append(
-            f"Shape '{excerpt(target.id())}' has {_listed(features)}, which svu does not account "
-            "for: if the photographs show that, roughness and base colour will be off."
+            f"Shape '{excerpt(target.id())}' has {_listed(features)}, {UNMODELLED}: if the "
+            "photographs show that, roughness and base colour will be off."
         )
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     near = [shape for shape in others if _extent(shape, target) > SMALL]
     if bright := [_name(shape) for shape in near if not _is_black(shape.bsdf())]:
         names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
-            f"Light reflected by {names} falls on '{excerpt(target.id())}', which svu does not "
-            "account for: base colours near there will be too bright; put something black around "
-            "the object when it is photographed."
+            f"Light reflected by {names} falls on '{excerpt(target.id())}', {UNMODELLED}: base "
+            "colours near there will be too bright; put something black around the object when it "
+            "is photographed."
         )
     return notes
 

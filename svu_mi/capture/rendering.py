@@ -99,7 +99,7 @@ class RenderPlan:
     """A render job, not yet started; other attributes as for ``render_capture``.
 
     Attributes:
-        light: Environment emitter.
+        light: Environment emitter; None if the integrator needs none.
         target: The object as a mesh. Photographs show ``scene``, which has its original shapes.
         sensors: V perspective sensors.
         description: Content of the future ``capture.json``.
@@ -143,8 +143,9 @@ class RenderPlan:
 
     def _read(self, folder: Path) -> Capture:
         plan = plan_photographs(
-            self.scene, self.sensors, folder, self.description, unwrap=self.unwrap
-        )
+            self.scene, self.sensors, folder, self.description, unwrap=self.unwrap,
+            light="required" if self.light else "optional",
+        )  # fmt: skip
         return plan.read()
 
     def _write(self, folder: Path, progress: Callable[[int, int], None] | None) -> None:
@@ -194,7 +195,8 @@ def plan_render(
     if path is not None:
         scene = load_scene(path, defines, trust=trust, float_textures=float_textures)
     label = str(path or "scene")
-    light = find_environment(scene, label)
+    needs_light = getattr(scene.integrator(), "needs_light", True)
+    light = find_environment(scene, label) if needs_light or scene.emitters() else None
     target = find_target(scene, shape, label)
     if views is None:
         sensors = find_sensors(scene, label, "pass --views N to place some")

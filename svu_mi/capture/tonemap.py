@@ -42,13 +42,16 @@ def tone_mapped(
         white: Radiance that becomes white; default: a quantile of the object's pixels.
 
     Returns:
-        (H, W, 3) float32 in [0, 1]. Saturated channels (NaN beside valid ones) are 1, and other
-        NaN pixels grey.
+        (H, W, 3) float32 in [0, 1]; NaN is grey.
     """
     linear = photograph / (white_radiance(photograph, mask) if white is None else white)
-    unknown = np.isnan(linear)
-    saturated = unknown & ~unknown.all(axis=2, keepdims=True)
-    return srgb(np.clip(np.where(saturated, 1, linear), 0, 1))
+    return srgb(np.clip(linear, 0, 1))
+
+
+def with_bounds(capture: Any, view: int) -> np.ndarray:
+    """Return a photograph (H, W, 3) with lower bounds in place of its saturated channels."""
+    image, saturation = capture.images[view], capture.clipped[view] if capture.clipped else None
+    return image if saturation is None else np.where(saturation.flags, saturation.least, image)
 
 
 def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -30,14 +30,14 @@ class Entropy(EstimateCommand, ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Run the pipeline, write the four files, and return a summary."""
-        from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
+        from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
         from svu_mi.output.write_entropy import write_outputs
         from svu_mi.presets import NOTHING, Skip
 
         size, skip = opt.parse_resolution(self.resolution), Skip() if self.skip else NOTHING
         capture, result = self.load_and_estimate(progress, size, "entropy", skip=skip)
+        capture = warn_of_exposure(capture, result)
         with progress.stage("Writing the results"):
             run = self.run_info(progress)
             summary = write_outputs(capture, result, place, run, pictures=self.pictures)
-        warn_if_too_bright(result)
         return [summary.summary()]

@@ -28,6 +28,7 @@ from svu_mi.core.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
+    from svu_mi.capture.importers.import_capture import Imported
 
 From = Annotated[Path, Positional, arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, arg(metavar="FILE | exif | none | estimate")]
@@ -97,21 +98,30 @@ class Import(BaseCommand):
         }  # fmt: skip
         return [str(self.source), *(word for pair in asked.items() for word in _arguments(*pair))]
 
+    def changed(self, output: Path | None, **conversion: Any) -> str:
+        """Return the command line of this import with other options of the conversion."""
+        other = replace(self, conversion=replace(self.conversion, **conversion))
+        return shlex.join(["svu", "import", *other.words, "-o", str(output)])
+
     def run(self, console: Console) -> int:
         """Import the capture, and print the notes about it."""
         from svu_mi.capture.importers.import_capture import NO_LIGHT
 
         with claimed(self.output, "import", overwrite=self.overwrite) as place:
             self.start()
-            notes = self._import(Progress(console), place)
+            notes, scale = self._import(Progress(console), place)
         for note in notes:
             print_line(console, note)
+        if scale is not None:
+            again = self.changed(self.output, mesh_scale=_rounded(scale))
+            print_line(console, f"Wrote {self.output}; import it again with: {again}")
+            return 0
         print_line(console, f"Wrote {self.output}; check it with: svu check {self.output}")
         if NO_LIGHT in notes:
             print_line(console, f"Then estimate its light with: svu light {self.output}")
         return 0
 
-    def _import(self, progress: Progress, place: Claim) -> list[str]:
+    def _import(self, progress: Progress, place: Claim) -> Imported:
         from svu_mi.capture.importers.colmap.undistortion import undistort
         from svu_mi.capture.importers.import_capture import plan_import
 
@@ -151,8 +161,7 @@ def reimport_command(capture: Capture, fixes: Sequence[str], mesh_scale: float =
         return " ".join(["svu import ...", *unit, *_arguments("fixes", _without_reverted(fixes))])
     every = _without_reverted((*given.conversion.fixes, *fixes))
     scale = _rounded(given.conversion.mesh_scale * mesh_scale)
-    again = replace(given, conversion=replace(given.conversion, fixes=every, mesh_scale=scale))
-    return shlex.join(["svu", "import", *again.words, "-o", str(capture.source)])
+    return given.changed(capture.source, fixes=every, mesh_scale=scale)
 
 
 def _rounded(scale: float) -> float:

@@ -86,7 +86,7 @@ class Inpaint(LitCommand, ResultCommand):
         size = textures.resolution
         need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_with_light(progress, need, size)
-        require_textures_of(capture, self.recovered)
+        capture = require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("Estimating the uncertainty of textures"):
             used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)

@@ -159,7 +159,7 @@ class EstimateCommand(LitCommand):
         need = partial(Need, command, resolution=size, model=self.estimation.model)
         capture, grid = self.load_with_light(progress, need, size)
         if recovered is not None:
-            require_textures_of(capture, recovered)
+            capture = require_textures_of(capture, recovered)
         estimate = self.estimation.estimate(progress, capture, grid, **options)
         predicted = estimate.prediction
         if predicted is not None and predicted.reliable:

@@ -111,7 +111,7 @@ class Recover(LitCommand, ResultCommand):
             )
 
     def _recover(self, progress: Progress, place: Claim) -> IntervalSummary:
-        from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
+        from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
         from svu_mi.output.interval_summary import IntervalSummary
         from svu_mi.output.write_recovery import DrawOptions, write_recovery
         from svu_mi.pipeline import estimate
@@ -138,7 +138,7 @@ class Recover(LitCommand, ResultCommand):
             **options,
         )  # fmt: skip
         known = recovery.estimate or given or estimate(seen, preset=model, progress=progress)
-        warn_if_too_bright(known)
+        capture = warn_of_exposure(capture, known)
         field = None
         if supports_texture_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)

@@ -78,7 +78,7 @@ class Relight(CaptureCommand, ResultCommand):
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
         need = partial(Need, "relight", resolution=textures.resolution)
         capture, _ = self.load(progress, need, textures.resolution)
-        require_textures_of(capture, self.recovered)
+        capture = require_textures_of(capture, self.recovered)
         if self.environment is not None:
             capture, notes = with_map(capture, self.environment)
             for note in notes:

@@ -79,11 +79,11 @@ class Report(EstimateCommand):
     def _write(
         self, progress: Progress, size: tuple[int, int], textures: Textures | None
     ) -> IntervalSummary:
-        from svu_mi.calibration.checks.exposure_checks import warn_if_too_bright
+        from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
         from svu_mi.output.report.report import write_report
 
         capture, estimate = self.load_and_estimate(progress, size, "report", self.recovered)
-        warn_if_too_bright(estimate)
+        capture = warn_of_exposure(capture, estimate)
         with progress.stage("Writing the report") as stage:
             return write_report(
                 capture, estimate, self.output, textures=textures, title=self.title,

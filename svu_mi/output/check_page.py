@@ -40,7 +40,8 @@ ROWS = 8  # largest number of hypotheses in a table
 LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
-    "gain": "Gain of the photographs", "ignored": "Ignored effects",
+    "gain": "Gain of the photographs", "saturation": "Saturated pixels",
+    "ignored": "Ignored effects",
 }  # fmt: skip
 # Attributes of ViewCheck and Summary: title of their mean, explanation, short label.
 MEASURES = {

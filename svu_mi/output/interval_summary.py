@@ -163,14 +163,14 @@ class IntervalSummary:
         )
 
     def summary(self) -> str:
-        """Return "97 % of the surface seen, mean entropy 0.60. Roughness known to ..."."""
+        """Return "97 % of the surface area seen, mean entropy 0.60. Roughness known to ..."."""
         if self.mean_entropy is None:
             return self.sentence()
-        text = f"{plain_percent(self.seen_part)} of the surface seen, mean entropy "
+        text = f"{plain_percent(self.seen_part)} of the surface area seen, mean entropy "
         return f"{text[0].upper()}{text[1:]}{self.mean_entropy:.2f}. {self.sentence()}"
 
     def sentence(self) -> str:
-        """Return "Roughness known to ±0.05 on 62 % of the surface seen, metallic on ..."."""
+        """Return "Roughness known to ±0.05 on 62 % of the surface area seen, metallic on ..."."""
         if not self.seen_part:
             return "No parameter is known: no photograph shows the surface."
         if self.withheld:
@@ -180,7 +180,7 @@ class IntervalSummary:
         (first, share), *others = [
             (label_of(n), plain_percent(x)) for n, x in self.known_part.items()
         ]
-        clauses = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
+        clauses = [f"{first} known to ±{self.tolerance:g} on {share} of the surface area seen"]
         clauses += [f"{name} on {share}" for name, share in others]
         limits = f"{100 * self.level:g} % intervals of {'×'.join(map(str, self.resolution))} texels"
         if self.cell_width:

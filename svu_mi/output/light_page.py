@@ -129,7 +129,7 @@ def _lit_panels(capture: Capture, estimate: LightEstimate) -> list[Panel]:
     for one in compare_renders(with_light(capture, estimate), grey, views, relit=False):
         photograph, *_, lit = replace(one, relit=one.render).cropped()  # exposed for itself
         panels += [
-            (f"Photograph {one.view}", partial(style.draw_image, image=photograph)),
+            (style.photograph_title(one.name), partial(style.draw_image, image=photograph)),
             ("Grey object in the estimated light", partial(style.draw_image, image=lit)),
         ]
     return panels

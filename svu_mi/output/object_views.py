@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from svu_mi.capture.sensors import bounding_sphere, directions_of
-from svu_mi.capture.tonemap import tone_mapped
+from svu_mi.capture.tonemap import tone_mapped, with_bounds
 from svu_mi.capture.up_direction import NEAR_AXIS, UP
 from svu_mi.guidance.strategies import farthest
 
@@ -47,7 +47,7 @@ def distant_views(
 
 def _brightness(capture: Any, view: int) -> float:
     """Return the mean screen value of a photograph, on the object if it has a mask."""
-    image, mask = capture.images[view], capture.masks[view] if capture.masks else None
+    image, mask = with_bounds(capture, view), capture.masks[view] if capture.masks else None
     step = -(-max(image.shape[:2]) // COARSE)
     mask = None if mask is None else mask[::step, ::step]
     shown = tone_mapped(image[::step, ::step], mask)

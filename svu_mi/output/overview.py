@@ -67,7 +67,7 @@ def _share(axes: Axes, summary: IntervalSummary, name: str) -> None:
     """Write on which share of the surface a parameter is known, in large digits."""
     axes.set_axis_off()
     width = summary.cell_width.get(name)
-    cells = "of the surface seen" if width is None else f"cells of the grid ±{width / 2:.2f}"
+    cells = "of the surface area seen" if width is None else f"cells of the grid ±{width / 2:.2f}"
     lines = (label_of(name).capitalize(), f"known to ±{summary.tolerance:g}, {cells}")
     share = plain_percent(summary.known_part[name])
     share = share.replace("under ", "<").replace("over ", ">")
@@ -90,7 +90,7 @@ def _notes(capture: Capture, estimate: Estimate, summary: IntervalSummary) -> li
         *(f"known {label_of(name)} {value:g}" for name, value in known_values(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {grouped(estimate.texels.count)} in charts",
-        f"{plain_percent(summary.seen_part)} of the surface seen",
+        f"{plain_percent(summary.seen_part)} of the surface area seen",
         "nothing seen" if entropy is None else f"mean entropy {entropy:.2f}",
     ]
 
@@ -102,7 +102,7 @@ def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
         shown = ObjectView.at(object_only_scene(capture), capture.sensors[view]).painted(texture)
         window = object_views.object_window(shown[..., 3] > 0)
         draw = partial(draw_photograph, capture=capture, view=view, window=window)
-        yield f"Photograph {view}", draw
+        yield style.photograph_title(capture.names[view]), draw
         entropy = object_views.crop(shown[..., :3], window)
         yield "Entropy in this view", partial(style.draw_image, image=entropy)
 

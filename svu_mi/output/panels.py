@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb, tone_mapped
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb, tone_mapped, with_bounds
 from svu_mi.errors import OptionError
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
@@ -46,7 +46,7 @@ def draw_photograph(
 ) -> None:
     """Draw a photograph, exposed for the object and cropped to ``window`` (default: its mask)."""
     mask = capture.masks[view] if capture.masks else None
-    image = tone_mapped(capture.images[view], mask)
+    image = tone_mapped(with_bounds(capture, view), mask)
     if window is None and mask is not None:
         window = object_views.object_window(mask)
     style.draw_image(axes, image if window is None else object_views.crop(image, window))

@@ -12,8 +12,9 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import is_seen, label_of
+from svu_mi.output.estimate_arrays import is_seen, label_of, texel_areas
 from svu_mi.output.html import grouped
+from svu_mi.output.interval_summary import area_share, plain_percent
 from svu_mi.output.panels import draw_look, draw_scaled_map, fully_seen, map_colors
 from svu_mi.output.rerender import SIDE, WORST, RenderComparison
 from svu_mi.output.style import GREY, LEFT, OUTSIDE, RIGHT, VIEWS_COLORMAP, Block
@@ -68,12 +69,12 @@ def write_recovery_overview(
 
 def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> list[str]:
     width, height = recovery.texels.resolution
-    seen = is_seen(recovery)
     return [
         f"method {recovery.method}",
         f"{sum(capture.used)} of {capture.count} views",
-        f"{width} × {height} texels, {grouped(len(seen))} in charts",
-        f"{100 * seen.sum() / max(len(seen), 1):.0f} % of the texels seen",
+        f"{width} × {height} texels, {grouped(recovery.texels.count)} in charts",
+        f"{plain_percent(area_share(texel_areas(recovery), is_seen(recovery)))} "
+        "of the surface area seen",
         *([] if estimate is None else [f"preset {estimate.preset.name}"]),
         f"difference: yellow from {WORST:g}",
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
@@ -121,7 +122,7 @@ def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
     error = comparison.mean_difference
     unusable = np.isnan(comparison.photograph[comparison.inside]).any()
     titles = (
-        f"Photograph {comparison.view}" + (" (grey: unusable)" if unusable else ""),
+        style.photograph_title(comparison.name) + (" (grey: not compared)" if unusable else ""),
         "Rendered with these textures",
         "Difference" if error is None else f"Difference, mean {error:.3f}",
     )  # fmt: skip

@@ -31,6 +31,7 @@ class RenderComparison:
 
     Attributes:
         view: Index into ``capture.sensors``.
+        name: Name of the photograph.
         photograph: (h, w, 3) linear radiance; NaN for unusable pixels.
         render: (h, w, 3) linear radiance of the object with the textures under the capture's light;
             0 outside the object.
@@ -39,6 +40,7 @@ class RenderComparison:
     """
 
     view: int
+    name: str
     photograph: np.ndarray
     render: np.ndarray
     inside: np.ndarray
@@ -104,8 +106,9 @@ def compare_renders(
         lit.append(relight(capture, textures, light, sensors, spp, pixels=inside))
     return [
         RenderComparison(
-            view=view, photograph=resized(capture.images[view], film_size(sensor)),
-            inside=mask, render=renders[0], relit=renders[1] if relit else None,
+            view=view, name=capture.names[view],
+            photograph=resized(capture.images[view], film_size(sensor)), inside=mask,
+            render=renders[0], relit=renders[1] if relit else None,
         )
         for view, sensor, mask, *renders in zip(chosen, sensors, inside, *lit, strict=True)
     ]  # fmt: skip
@@ -127,7 +130,8 @@ def write_relit(comparisons: Sequence[RenderComparison], path: str | Path) -> No
     )  # fmt: skip
     for row, comparison in zip(grid, comparisons, strict=True):
         error = comparison.mean_difference
-        notes = (f"view {comparison.view}", "", "" if error is None else f"mean {error:.3f}", "")
+        mean = "" if error is None else f"mean {error:.3f}"
+        notes = (style.photograph_title(comparison.name), "", mean, "")
         for axes, image, note in zip(row, comparison.cropped(), notes, strict=True):
             style.draw_image(axes, image)
             axes.text(0.5, -0.02, note, size=9.5, color=FAINT, ha="center", va="top",

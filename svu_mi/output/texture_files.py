@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import marks_of, mesh_of, require_one_run, require_recovery
 from svu_mi.core.io.schema import OBJECT, Field, read_record
-from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
+from svu_mi.errors import CaptureError, SvuError, excerpt
 from svu_mi.output.maps import ENTROPY
 from svu_mi.output.run_record import RECORD
 from svu_mi.parameters import CHANNELS, NAMES
@@ -133,10 +132,10 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
     return Textures.of(images)
 
 
-def require_textures_of(capture: Capture, folder: str | Path) -> None:
+def require_textures_of(capture: Capture, folder: str | Path) -> Capture:
     """Raise an error if ``run.json`` shows that textures belong to another mesh.
 
-    Textures from another capture of the same mesh cause a warning.
+    Textures from another capture of the same mesh cause a warning, which the returned capture has.
     """
     folder = Path(folder)
     run, key = marks_of(folder / FILES["base_color"])
@@ -148,12 +147,11 @@ def require_textures_of(capture: Capture, folder: str | Path) -> None:
             "folder that svu recover wrote for this capture."
         )
     if key and key != capture_key(capture):
-        warnings.warn(
+        return capture.warned(
             f"{folder}: these textures come from another capture than {label}; their values are "
-            "used as they are.",
-            SvuWarning,
-            stacklevel=3,
+            "used as they are."
         )
+    return capture
 
 
 def find_textures(folder: Path) -> dict[str, Path]:

@@ -92,7 +92,13 @@ def write_sheet(
         panels=panels, shape=(len(NAMES), len(columns)), box=(0.01, 0.99, 0.01, 1 - 1.15 / height),
         space=(0.04, 0.14), anchor="NW",
     )  # fmt: skip
-    style.write_page(path, (CELL * len(columns), height), HEADING, [f"view {view}"], [block])
+    style.write_page(
+        path,
+        (CELL * len(columns), height),
+        HEADING,
+        [style.photograph_title(capture.names[view])],
+        [block],
+    )
 
 
 def texture_colors(texels: Texels, textures: Textures, name: str) -> np.ndarray:

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.axis_mistakes import CASES, Case, outcome, same, spoil
-from support.helpers import ball, memory_capture, render_views
+from support.helpers import ball, memory_capture, render_views, sensor_xml, write_scene
 from support.photographs import before_wall, eight_bit, without_masks
 from support.written import write
 
@@ -518,6 +518,17 @@ def test_what_is_ignored_has_the_last_word(capture):
     assert not unsure.fits
     assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
     assert svu.check(capture).findings[-1].question == "gain"
+
+
+@pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
+def test_materials_of_joined_shapes_are_named(tmp_path):
+    coat = '<bsdf type="principled"><float name="clearcoat" value="0.8"/></bsdf>'
+    lid = f'<shape type="ply" id="lid"><string name="filename" value="ball.ply"/>{coat}</shape>'
+    scene = write_scene(tmp_path, sensors=sensor_xml(4), extra=lid)
+    joined = svu.render_capture(scene, 1, folder=tmp_path / "shot", shape="ball,lid")
+    (said,) = [one.sentence for one in svu.check(joined).findings if one.question == "ignored"]
+    assert said.startswith("Shape 'ball,lid' has clearcoat 0.8, which svu does not account for:")
+    assert said.count("does not account") == 1
 
 
 def test_what_an_import_has_left_out_is_said_again(capture, tmp_path):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -23,7 +25,9 @@ from svu_mi.calibration.checks.exposure_checks import (
     Reflections,
     excess_of,
     relative_gains,
+    saturated_share,
     too_bright,
+    warn_of_exposure,
 )
 from svu_mi.calibration.checks.surface_samples import (
     DistantLight,
@@ -34,6 +38,7 @@ from svu_mi.calibration.checks.surface_samples import (
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.quantization import Saturation
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.light.environment import read_environment
 from svu_mi.light.latlong import directions
@@ -256,6 +261,34 @@ def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
     )
     nothing = relative_gains(Reflections(np.zeros_like(seen), shown, diffuse, lobes, side))
     assert not nothing.known.any() and not nothing.odd.any()
+
+
+def test_much_saturation_is_reported(vase, monkeypatch):
+    """The share is that of the object's pixels, with and without masks."""
+    left = np.zeros((96, 96), np.uint8)
+    left[:, :48] = 2  # green
+    record = Saturation(left, np.ones(3, np.float32))
+    capture = replace(vase, clipped=(record, *[None] * (VIEWS - 1)))
+    used = replace(capture, used=(True,) + (False,) * (VIEWS - 1))
+    part = vase.masks[0][:, :48].sum() / vase.masks[0].sum()
+    assert 0.3 < part < 0.7
+    for side in (96, 31):
+        small = reduce_photographs(used, side)
+        assert saturated_share(used, small) == pytest.approx(part, abs=0.05)
+        everything = replace(small, masks=(None,) * VIEWS)
+        assert saturated_share(used, everything) == pytest.approx(part, abs=0.05)
+    whole = svu.check(used).findings[-1]
+    assert (whole.question, whole.verdict) == ("saturation", "unclear")
+    assert whole.sentence.endswith("photograph with a shorter exposure, or in HDR.")
+    assert svu.check(capture).findings[-1].question == "gain"  # one half of 24 photographs
+
+    monkeypatch.setattr("svu_mi.calibration.checks.exposure_checks.too_bright", lambda _: None)
+    for counts, told in (([2, 0], []), ([0, 3], ["15 % of the object's pixels are saturated"])):
+        seen = SimpleNamespace(clipped_coverage=np.array(counts), shown=np.array([12, 8]))
+        with warnings.catch_warnings(record=True) as caught:
+            kept = warn_of_exposure(vase, SimpleNamespace(observed=seen)).warnings
+        assert [sentence.partition(":")[0] for sentence in kept] == told
+        assert [str(one.message) for one in caught] == list(kept)
 
 
 def test_mirrors_look_the_light_up_where_it_is(vase):

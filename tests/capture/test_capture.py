@@ -533,7 +533,7 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
         Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
     assert load_capture(path).warnings == (
         f"{folder}: all 30 photographs: 8-bit, not HDR; decoded as sRGB, 1440 saturated "
-        "pixels are used as lower bounds. Clipped highlights hide gloss: use HDR.",
+        "pixels are lower bounds of radiance. Clipped highlights hide gloss: use HDR.",
     )
     for index in (3, 4, 9, 20, 21):
         write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
@@ -541,8 +541,8 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     sentences = load_capture(path).warnings
     assert sentences == (
         f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
-        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels are used as lower "
-        "bounds. Clipped highlights hide gloss: use HDR.",
+        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels are lower bounds of "
+        "radiance. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
         "entirely black, not used; check the exposure, or remove the photograph and its "
         "sensor.",

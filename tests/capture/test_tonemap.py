@@ -11,8 +11,9 @@ import pytest
 
 from svu_mi.capture import tonemap as module
 from svu_mi.capture.mesh import positions
+from svu_mi.capture.quantization import Saturation
 from svu_mi.capture.sensors import film_size, make_sensor, projected
-from svu_mi.capture.tonemap import ObjectView, object_only_scene, tone_mapped
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, tone_mapped, with_bounds
 from svu_mi.core.arrays import to_drjit
 
 
@@ -80,10 +81,16 @@ def test_points_behind_a_camera_have_negative_depth(vase: SimpleNamespace) -> No
 
 
 def test_saturated_channels_are_shown_as_bright() -> None:
-    """A white pixel with a saturated channel looks white, not coloured; other NaN are grey."""
+    """Saturated pixels look white, also with one saturated channel; other NaN are grey."""
     nan = np.nan
-    photograph = np.array([[[1, nan, 0.9], [0.25, 0.25, 0.25], [nan, nan, nan], [1, 1, 1]]])
-    shown = tone_mapped(photograph.astype(np.float32), white=1.0)
-    quarter = 1.055 * 0.25 ** (1 / 2.4) - 0.055
-    expected = [[1, 1, 1.055 * 0.9 ** (1 / 2.4) - 0.055], [quarter] * 3, [0.5] * 3, [1] * 3]
-    np.testing.assert_allclose(shown[0], expected, atol=1e-5)
+    pixels = [[1, nan, 0.9], [0.25, 0.25, 0.25], [nan, nan, nan], [nan, nan, nan], [1, 1, 1]]
+    over = np.array([[2, 0, 7, 0, 0]], np.uint8)  # bits of channels
+    photograph = SimpleNamespace(
+        images=(np.array([pixels], np.float32),) * 2,
+        clipped=(None, Saturation(over, np.full(3, 1.0, np.float32))),
+    )
+    quarter, most = 1.055 * 0.25 ** (1 / 2.4) - 0.055, 1.055 * 0.9 ** (1 / 2.4) - 0.055
+    for view, bright in enumerate((0.5, 1.0)):
+        shown = tone_mapped(with_bounds(photograph, view), white=1.0)
+        expected = [[1, bright, most], [quarter] * 3, [bright] * 3, [0.5] * 3, [1] * 3]
+        np.testing.assert_allclose(shown[0], expected, atol=1e-5)

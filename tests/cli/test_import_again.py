@@ -89,11 +89,15 @@ def test_a_unit_is_corrected_by_the_printed_command(given, capsys):
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1000.0)
     ball.export(given / "scan.ply")
     assert main(["import", *NEEDED, "--mesh-scale", "0.01", "-o", "capture"]) == 0
-    assert "import with --mesh-scale 0.001." in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "import with --mesh-scale 0.001." in said and "svu check" not in said
+    first = said.splitlines()[-1].partition("import it again with: ")[2]
     assert main(["check", "capture", "-o", "checked"]) == 0
     said = capsys.readouterr()
     assert said.err.endswith("import with --mesh-scale 0.001.\n")
     line = said.out.partition("Import it again with: ")[2].splitlines()[0]
+    right = ["svu", "import", *NEEDED, "--mesh-scale", "0.001", "-o", "capture"]
+    assert line == first == shlex.join(right)
     assert main(shlex.split(line)[1:]) == 0
     assert "--mesh-scale" not in capsys.readouterr().out
     assert svu.load_capture("capture", light="optional").mesh.bbox().max.x == pytest.approx(1)

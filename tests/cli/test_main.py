@@ -59,13 +59,13 @@ def test_entropy_writes_four_files(shot, tmp_path, capsys):
     assert record["skipped"]["views left out"] == 0
     known = record["result"]["intervals"]["known_part"]
     words = [f"{name} {part}" for name, part in zip(
-        ("Roughness known to ±0.05 on", "of the surface seen, metallic on", "base colour on"),
+        ("Roughness known to ±0.05 on", "of the surface area seen, metallic on", "base colour on"),
         ("under 1 %" if 0 < part <= 0.005 else f"{100 * part:.0f} %" for part in known.values()),
         strict=True,
     )]  # fmt: skip
     summary, _, told = told.partition(". ")
     assert told == f"{words[0]} {words[1]}, {words[2]} (90 % intervals of 64×32 texels)."
-    assert re.fullmatch(r"\d+ % of the surface seen, mean entropy 0\.\d\d", summary)
+    assert re.fullmatch(r"\d+ % of the surface area seen, mean entropy 0\.\d\d", summary)
 
 
 def test_result_as_capture_is_refused_with_its_source(tmp_path, capsys):
@@ -237,8 +237,8 @@ def test_demo_leaves_four_files(tmp_path, capsys):
     assert run("demo", "-o", tmp_path, "--spp", 1, "--resolution", 32) == 0
     told = capsys.readouterr().out.splitlines()[-1]
     assert re.match(
-        r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
-        r"surface seen, .* intervals of 32×32 texels\)\.$", told
+        r"\d+ % of the surface area seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* "
+        r"of the surface area seen, .* intervals of 32×32 texels\)\.$", told
     )  # fmt: skip
     assert names(tmp_path) == sorted(["capture", *FILES])
     assert "capture.json" in names(tmp_path / "capture")

@@ -8,8 +8,8 @@ import pytest
 from support.journey import done
 
 FOUND = re.compile(
-    r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
-    r"surface seen, metallic on .*, base colour on .* \(90 % intervals of .*\)\."
+    r"\d+ % of the surface area seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* "
+    r"of the surface area seen, metallic on .*, base colour on .* \(90 % intervals of .*\)\."
 )
 
 

@@ -64,7 +64,7 @@ def test_figures_are_those_computed_by_hand(posterior):
     assert summary.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
     assert summary.cell_width == {}
     assert summary.sentence() == (
-        "Roughness known to ±0.05 on 67 % of the surface seen, base colour on 33 % "
+        "Roughness known to ±0.05 on 67 % of the surface area seen, base colour on 33 % "
         "(90 % intervals of 8×4 texels)."
     )
 
@@ -72,11 +72,11 @@ def test_figures_are_those_computed_by_hand(posterior):
 def test_all_that_was_found_is_one_line(posterior):
     """The mean entropy is that of the four texels seen, of 0, 0.25, 0.5, 0.75 and 1."""
     assert IntervalSummary.of(estimate_of(posterior)).summary() == (
-        "38 % of the surface seen, mean entropy 0.38. Roughness known to ±0.05 on 67 % of the "
-        "surface seen, base colour on 33 % (90 % intervals of 8×4 texels)."
+        "38 % of the surface area seen, mean entropy 0.38. Roughness known to ±0.05 on 67 % of the "
+        "surface area seen, base colour on 33 % (90 % intervals of 8×4 texels)."
     )
     nearly = replace(IntervalSummary.of(estimate_of(posterior)), seen_part=0.998)
-    assert nearly.summary().startswith("Over 99 % of the surface seen")
+    assert nearly.summary().startswith("Over 99 % of the surface area seen")
     nothing = IntervalSummary.of(estimate_of(posterior, coverage=(0,) * 5))
     assert nothing.summary() == "No parameter is known: no photograph shows the surface."
 
@@ -98,7 +98,8 @@ def test_what_is_known_beforehand_is_no_finding(posterior):
     assert list(summary.known_part) == ["base_color"]
     assert summary.all_known_part == pytest.approx(1 / 3)
     assert summary.sentence() == (
-        "Base colour known to ±0.05 on 33 % of the surface seen (90 % intervals of 8×4 texels)."
+        "Base colour known to ±0.05 on 33 % of the surface area seen (90 % intervals of 8×4 "
+        "texels)."
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}
     summary = IntervalSummary.of(estimate_of(posterior))
@@ -111,9 +112,9 @@ def test_nothing_is_called_known_under_estimated_light(posterior):
     assert (summary.known_part, summary.all_known_part) == ({}, None)
     assert summary.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
     assert summary.summary() == (
-        "38 % of the surface seen, mean entropy 0.38. No parameter is called known to ±0.05: the "
-        "light was estimated from the photographs, and then fewer than 90 % of the 90 % intervals "
-        "contain the truth."
+        "38 % of the surface area seen, mean entropy 0.38. No parameter is called known to ±0.05: "
+        "the light was estimated from the photographs, and then fewer than 90 % of the 90 % "
+        "intervals contain the truth."
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}
     given = IntervalSummary.of(estimate_of(posterior, light_uncertainty=LightUncertainty()))

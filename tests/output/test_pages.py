@@ -76,15 +76,17 @@ def test_the_page_of_a_recovery_begins_with_the_comparison(vase, drawn):
         coverage=vase.estimate.coverage, image=lambda name: np.array(getattr(textures, name)),
     )  # fmt: skip
     image, inside = np.full((8, 8, 3), 0.5, np.float32), np.ones((8, 8), bool)
-    one = RenderComparison(view=1, photograph=image, render=image, inside=inside, relit=image)
-    pair = [one, replace(one, view=2)]
+    one = RenderComparison(
+        view=1, name="IMG_8.JPG", photograph=image, render=image, inside=inside, relit=image
+    )  # fmt: skip
+    pair = [one, replace(one, view=2, name=f"IMG_{'9' * 99}.JPG")]
     write_recovery_overview(vase.capture, recovery, pair, "unused", vase.estimate)
-    assert place(drawn[0], "Photograph 2") > place(drawn[0], "Roughness, sd")
+    assert place(drawn[0], f"Photograph IMG_{'9' * 20}...") > place(drawn[0], "Roughness, sd")
     assert not overlaps(drawn[0])
     holes = image.copy()
     holes[0, 0] = np.nan
     (title, _), *_ = _comparison_panels(replace(one, photograph=holes))
-    assert title == "Photograph 1 (grey: unusable)"
+    assert title == "Photograph IMG_8.JPG (grey: not compared)"
 
 
 def test_gains_of_proposals_are_percent_of_the_entropy(vase, drawn):

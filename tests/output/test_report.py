@@ -13,6 +13,7 @@ from support.helpers import posed, render_ball, write_scene
 from support.unseen import blind
 
 import svu_mi as svu
+from svu_mi.capture.quantization import Saturation
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.cli.main import main
@@ -49,10 +50,13 @@ def capture(tmp_path_factory):
         views=VIEWS, resolution=(40, 32), spp=16,
     )  # fmt: skip
     images = [np.array(image) for image in taken.images]
-    images[1][10:12, 10:12] = np.nan
+    images[1][10:12, 10:13] = np.nan
+    saturated = np.zeros((32, 40), np.uint8)
+    saturated[10:12, 12] = 7
     images[4] *= 0
     return replace(
-        taken, images=tuple(images), names=(NAME, *taken.names[1:]), unusable=(0, 4, 0, 0, 0),
+        taken, images=tuple(images), names=(NAME, *taken.names[1:]), unusable=(0, 6, 0, 0, 0),
+        clipped=(None, Saturation(saturated, np.ones(3, np.float32)), None, None, None),
         used=(True, True, True, True, False), exposures=(1.0, 1.0, 0.25, 1.0, 1.0),
         warnings=(WARNING,) * 14,
     )  # fmt: skip
@@ -248,7 +252,9 @@ def test_names_and_warnings_are_escaped(text):
 
 def test_photographs_say_what_is_wrong_with_them(text):
     photographs = section(text, "photographs")
-    assert "4 unusable pixels" in photographs and "exposure × 0.25" in photographs
+    assert (
+        "2 saturated pixels, 4 unusable pixels" in photographs and "exposure × 0.25" in photographs
+    )
     left_out = photographs[photographs.index("Not used: 1") :]
     assert "entirely black" in left_out and "view_0004.exr" in left_out
 
@@ -256,11 +262,19 @@ def test_photographs_say_what_is_wrong_with_them(text):
 def test_neither_options_nor_warnings_name_a_folder(capture, page, tmp_path, text, written):
     assert str(written.parent) not in text and written.name in section(text, "record")
     secret = tmp_path / "client = no 7"
-    told = replace(capture, source=secret, warnings=(f"{secret / 'a.png'}: an 8-bit image.",))
-    given = {"define": (f"map={secret / 'sky.exr'}", "spp=4", "a="), "title": "now/then"}
+    other = tmp_path / "textures"
+    told = replace(capture, source=secret, warnings=(
+        f"{secret / 'a.png'}: an 8-bit image.", f"{other}: these come from another than {secret}."
+    ))  # fmt: skip
+    given = {
+        "recovered": other,
+        "define": (f"map={secret / 'sky.exr'}", "spp=4", "a="),
+        "title": "now/then",
+    }
     text = page(told, settings=given)
     assert str(tmp_path) not in text
     assert ">a.png: an 8-bit image." in text
+    assert ">textures: these come from another than client = no 7." in text
     assert "map=sky.exr, spp=4, a=" in text and "now/then" in text
 
 

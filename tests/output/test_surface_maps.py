@@ -98,6 +98,6 @@ def test_no_pictures_writes_all_but_pictures(shot, tmp_path, capsys, words, draw
     assert names(tmp_path) == sorted(set(every) - set(drawn))
     wrote, told = capsys.readouterr().out.splitlines()[-2:]
     assert wrote == f"Wrote {tmp_path}"
-    assert " of the surface seen, mean entropy 0." in told
+    assert " of the surface area seen, mean entropy 0." in told
     assert told.endswith("(90 % intervals of 32×32 texels).")
     mi.set_log_level(mi.LogLevel.Warn)

@@ -409,8 +409,8 @@ def test_pictures_of_large_photographs_are_small(vase, fine):
 def test_nothing_to_compare_is_no_error(tmp_path):
     nothing = np.full((8, 8, 3), np.nan, np.float32)
     empty = RenderComparison(
-        view=0, photograph=nothing, render=np.ones((8, 8, 3)), relit=np.ones((8, 8, 3)),
-        inside=np.zeros((8, 8), bool),
+        view=0, name="a.jpg", photograph=nothing, render=np.ones((8, 8, 3)),
+        relit=np.ones((8, 8, 3)), inside=np.zeros((8, 8), bool),
     )  # fmt: skip
     assert empty.mean_difference is None
     write_relit([empty], tmp_path / "relit.png")

@@ -9,11 +9,12 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import box_film, write_scene
+from support.helpers import box_film, run, sensor_xml, write_scene
 
+import svu_mi as svu
 import svu_mi.plugins  # noqa: F401 - registers
 from svu_mi.capture.scene import load_scene
-from svu_mi.core.io.exr import write_exr
+from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import SceneError
 from svu_mi.plugins import registry
 
@@ -54,6 +55,20 @@ def file(tmp_path, values):
 def seen(values: np.ndarray) -> np.ndarray:
     """Return the map as the camera sees it: v points up, row 0 is v = 0, u points right."""
     return values[::-1]
+
+
+def test_svu_renders_the_map_without_a_light(file, tmp_path, values):
+    """Other integrators show nothing without a light, which is an error."""
+    path = write_scene(tmp_path, sensors=sensor_xml(2, 20, 12))
+    dark = path.read_text().replace('<emitter type="constant" id="light"/>', "")
+    path.write_text(dark)
+    with pytest.raises(SceneError, match="no emitter"):
+        svu.render_capture(path, 1)
+    kind = f'<integrator type="svu_entropy"><string name="filename" value="{file}"/></integrator>'
+    path.write_text(dark.replace('<integrator type="direct"/>', kind))
+    assert run("render", path, "--spp", 1, "-o", tmp_path / "shown") == 0
+    first, second = (tmp_path / "shown").glob("*.exr")
+    assert read_exr(first)["R"].shape == (12, 20) and read_exr(second)["G"].max() > 0.1
 
 
 def test_without_a_colormap_the_pixels_are_the_map(file, values):

@@ -92,7 +92,11 @@ def test_maps_of_another_capture_are_refused(made, result, tmp_path, capsys):
 def test_textures_of_another_mesh_are_refused(made, result, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr(Viewer, "run", lambda self: self.stop())
     page = SimpleNamespace(summary=str)  # takes long, and others look at it
-    monkeypatch.setattr("svu_mi.output.report.report.write_report", lambda *_, **__: page)
+    listed = []
+    monkeypatch.setattr(
+        "svu_mi.output.report.report.write_report",
+        lambda capture, *_, **__: listed.append(capture.warnings) or page,
+    )
     there = ("-o", tmp_path / "page.html") if command == "report" else ("--port", 0)
     of_first, of_second = (
         (command, made / which / "shot", *there, "--recovered") for which in "ab"
@@ -105,6 +109,7 @@ def test_textures_of_another_mesh_are_refused(made, result, tmp_path, capsys, mo
         f"svu: warning: {result}: these textures come from another capture than "
         f"{made / 'b' / 'shot'}; their values are used as they are.\n"
     ) in capsys.readouterr().err
+    assert [len(each) for each in listed] == ([0, 1] if command == "report" else [])
     scene = write_scene(tmp_path, uvs=0.5 * ball().uvs)
     other = ("--render", "--spp", 1, "-o", tmp_path / "other.html")
     assert fails(capsys, command, scene, "--recovered", result, *other).startswith(

@@ -34,7 +34,13 @@ from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
-from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, unsupported
+from svu_mi.capture.load_warnings import (
+    MOST,
+    UNMODELLED,
+    back_face_share,
+    faces_outward,
+    unsupported,
+)
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.scene import require_variant, to_world
@@ -84,7 +90,7 @@ def check(
             gain = compare_gains(capture, small, axial)
     else:
         gain = _gain_finding(capture, small, gains)
-    findings = (*axial, gain, *_ignored(capture))
+    findings = (*axial, gain, *_saturated(capture, small), *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
@@ -227,9 +233,20 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     return decisions.decide_gains(excess, gains, names)
 
 
+def _saturated(capture: Capture, small: Capture) -> tuple[Finding, ...]:
+    """Return a finding if much of the object is saturated, or an empty tuple."""
+    share = exposure_checks.saturated_share(capture, small) if capture.clipped else 0.0
+    sentence = exposure_checks.saturation_sentence(share)
+    if sentence is None:
+        return ()
+    return (Finding(question="saturation", verdict="unclear", sentence=sentence),)
+
+
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
     """Return a note about ignored parts of the scene or import, or an empty tuple."""
-    notes = unsupported(capture.scene, capture.shape)
+    # Materials of joined shapes are known to the loader only.
+    loaded = [sentence for sentence in capture.warnings if UNMODELLED in sentence]
+    notes = list(dict.fromkeys([*unsupported(capture.scene, capture.shape), *loaded]))
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None
     notes += [n for n in said if str(n).endswith(LEFT_OUT)] if isinstance(said, list) else []

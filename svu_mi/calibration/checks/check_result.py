@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-Question = Literal["poses", "light", "texture", "gain", "ignored"]
+Question = Literal["poses", "light", "texture", "gain", "saturation", "ignored"]
 Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
 
@@ -35,7 +35,7 @@ class Finding:
 
     Attributes:
         question: Tested part: ``poses`` (cameras and mesh), ``light``, ``texture``, ``gain`` (of
-            the photographs) or ``ignored`` (unsupported parts of the scene).
+            the photographs), ``saturation`` or ``ignored`` (unsupported parts of the scene).
         verdict: ``fits``; ``wrong`` (corrected by ``fixes``); ``unclear`` (probably wrong, with
             several possible causes or no known cause); ``unknown`` (not determined by the
             photographs); ``note`` (information only).
@@ -99,7 +99,7 @@ class Check:
     Attributes:
         views: Fit of each used photograph, in the order of the capture.
         corrected: Fit after all suggested corrections; ``views`` itself without corrections.
-        findings: Findings of poses, light, texture, gain and (if any) ignored parts.
+        findings: Findings of poses, light, texture, gain and (if any) saturation and ignored parts.
         camera_axes: (4, 4) matrix assumed by ``camera-inverse`` (see ``apply_fixes``).
         mesh_scale: Factor of the mesh that corrects its unit; 1 if the unit is correct.
 

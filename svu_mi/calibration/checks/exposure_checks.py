@@ -18,7 +18,6 @@ calibrated materials (``calibration.exposure``) is more precise, but takes ten t
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -38,9 +37,8 @@ from svu_mi.calibration.checks.surface_samples import (
     sample_points,
     scatter_points,
 )
-from svu_mi.calibration.checks.thumbnails import Thumbnails
+from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
 from svu_mi.core.arrays import fibonacci, to_drjit
-from svu_mi.errors import SvuWarning
 from svu_mi.light.light_tree import LightCells, build_light_tree
 from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.reflection.principled import F0
@@ -61,6 +59,9 @@ OPEN = 0.9  # minimum unoccluded fraction of the sky, cosine-weighted
 AROUND = 2.0  # radiance of occluders, relative to the mean of the object
 FEWEST = 50  # reliable points needed
 MOST = 0.1  # fraction of points that may exceed the bound
+# Fraction of the object. In 24 8-bit photographs of vase and knot by studio and window, base colour
+# loses 0.4 to 1.8 dB if 11 % are saturated, and 1.0 to 2.9 dB if 31 % are.
+SATURATED = 0.1
 WHITEST = 1.16  # factor of gloss and interreflection on white paint
 BRIGHT = 0.98  # reported quantile of the factors
 
@@ -179,11 +180,38 @@ def too_bright(estimate: Estimate) -> str | None:
     return excess and excess.sentence(estimated=seen.capture.found_light is not None)
 
 
-def warn_if_too_bright(estimate: Estimate) -> None:
-    """Warn if the photographs of an estimate are too bright for its light."""
-    sentence = too_bright(estimate)
-    if sentence is not None:
-        warnings.warn(sentence, SvuWarning, stacklevel=2)
+def warn_of_exposure(capture: Capture, estimate: Estimate) -> Capture:
+    """Warn of photographs that are too bright for their light or saturated; return the capture with
+    these warnings."""
+    sentences, seen = [too_bright(estimate)], estimate.observed
+    if seen is not None and seen.clipped_coverage is not None:
+        share = float(seen.clipped_coverage.sum() / max(seen.shown.sum(), 1))
+        sentences.append(saturation_sentence(share))
+    return capture.warned(*filter(None, sentences))
+
+
+def saturated_share(capture: Capture, small: Capture) -> float:
+    """Return the saturated fraction of the object's pixels; ``small`` is the reduced capture."""
+    over, inside = 0, 0
+    frames, views = Thumbnails.of(small), np.flatnonzero(capture.used)
+    for view, seen, mask in zip(views, silhouettes(frames), frames.masks, strict=True):
+        shown, saturation = seen if mask is None else seen & mask, capture.clipped[view]
+        inside += shown.sum()
+        if saturation is not None:
+            step = min(saturation.channels.shape[k] // shown.shape[k] for k in (0, 1))
+            middle = saturation.channels[step // 2 :: step, step // 2 :: step]
+            over += (middle[: len(shown), : shown.shape[1]][shown] > 0).sum()
+    return float(over / max(inside, 1))
+
+
+def saturation_sentence(share: float) -> str | None:
+    """Return a warning if more of the object than ``SATURATED`` is saturated, else None."""
+    if share <= SATURATED:
+        return None
+    return (
+        f"{100 * share:.0f} % of the object's pixels are saturated: base colour and roughness will "
+        "be off; photograph with a shorter exposure, or in HDR."
+    )
 
 
 class Reflections(NamedTuple):

@@ -241,7 +241,7 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     return [
         *note([c.bits > 0 for c in views],
               f"are not HDR: of {kinds} bits, decoded as {curves}. {clipped} saturated "
-              "pixels are used as lower bounds. Clipped highlights hide gloss: use HDR."),
+              "pixels are lower bounds of radiance. Clipped highlights hide gloss: use HDR."),
         *note([c.crushed > CRUSHED for c in views],
               f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
               "have a channel of 0): darker radiance is lost; expose longer or use HDR."),

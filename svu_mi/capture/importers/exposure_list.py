@@ -44,11 +44,13 @@ def with_gains(
         return with_listed_gains(frames, Path(gains)), True, []
     try:
         frames = with_exif_gains(frames)
-    except CaptureError:
+    except CaptureError as error:
         if gains is not None:
             raise
         are_radiance = not any(open_image(frame.image).bits for frame in frames)
-        return frames, are_radiance, []
+        some = sum(_has_exposure(frame.image) for frame in frames)
+        note = f"EXIF: exposures of {some} of {len(frames)} photographs are not used: {error}"
+        return frames, are_radiance, [note] if some else []
     each = [frame.exposure for frame in frames]
     ratio = max(each) / min(each)
     if ratio < EQUAL:
@@ -122,6 +124,14 @@ def _exif_gain(path: Path) -> tuple[float, bool]:
             f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
         ) from error
     return gain, aperture > 0
+
+
+def _has_exposure(path: Path) -> bool:
+    try:
+        _exif_gain(path)
+    except CaptureError:
+        return False
+    return True
 
 
 def _exposure_tags(path: Path) -> Mapping[int, Any]:

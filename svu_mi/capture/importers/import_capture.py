@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context, copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -102,7 +102,14 @@ def import_capture(
         >>> svu.load_capture("imported", light="optional").count
         4
     """
-    return plan_import(source, options or ImportOptions()).write(folder, words, progress)
+    return plan_import(source, options or ImportOptions()).write(folder, words, progress).notes
+
+
+class Imported(NamedTuple):
+    """Sentences about an import, and the ``mesh_scale`` that corrects a wrong unit, or None."""
+
+    notes: list[str]
+    mesh_scale: float | None
 
 
 @dataclass(frozen=True)
@@ -128,11 +135,11 @@ class ImportPlan:
     def write(
         self, folder: str | os.PathLike[str], words: Sequence[str] = (),
         progress: Callable[[int, int], None] | None = None,
-    ) -> list[str]:  # fmt: skip
+    ) -> Imported:  # fmt: skip
         """Write the capture folder (see ``import_capture``)."""
         source, options, frames, light = self.source, self.options, self.frames, self.light
         with writing(folder, "import", capture_folder.FILE) as draft:
-            geometry = self._read_object()
+            geometry, scale = self._read_object()
             squares, views = _write_photographs(frames, draft.folder, options.shrink, progress)
             notes = [*source.notes, *self.notes, *geometry.notes, *photograph_notes(frames, views)]
             if light is not None:
@@ -150,10 +157,13 @@ class ImportPlan:
                 exposures=[frame.exposure for frame in squares] if self.exposures_known else [],
             )  # fmt: skip
             capture_folder.write(draft, description, sensors)
-        return notes
+        return Imported(notes, scale)
 
-    def _read_object(self) -> TexturedMesh:
-        """Read the mesh, correct and scale it, and compute missing UVs."""
+    def _read_object(self) -> tuple[TexturedMesh, float | None]:
+        """Read the mesh, correct and scale it, and compute missing UVs.
+
+        Also returns the scale that corrects a wrong unit, or None.
+        """
         label, options = self.mesh, self.options
         geometry = read_textured_mesh(label, geometry_only=options.geometry_only)
         if options.faces is not None:
@@ -165,15 +175,17 @@ class ImportPlan:
             if fix.kind in ("mesh", "texture", "winding"):
                 mesh = correct_mesh(mesh, fix)
         mesh = replace(mesh, positions=mesh.positions * options.mesh_scale)
+        scale = None
         if wrong := wrong_scale(mesh.positions, sensors, self.source.points):
             notes.append(f"{label}: {wrong.sentence(options.mesh_scale)}")
+            scale = wrong.factor and wrong.factor * options.mesh_scale
         else:
             mesh, turned = _facing_cameras(mesh, self.frames, self.fixes, label)
             notes += turned
         if mesh.uvs is None:
             mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
             notes.append(f"{label}: has no UVs; UVs by xatlas are stored in {MESH}.")
-        return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes])
+        return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes]), scale
 
     def _in_world_of_poses(
         self, mesh: MeshArrays, sensors: Sequence[Any]

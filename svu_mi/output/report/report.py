@@ -87,6 +87,7 @@ def write_report(
     report = progress or Stage().update
     result, table = EstimateArrays.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     intervals = picture_intervals(estimate, report_pictures.MAP_SIDE)
+    capture = dataclasses.replace(capture, warnings=_shared(capture, settings or {}))
     shown = _pictures(capture, estimate, textures, table, intervals, report)
     intervals = sampled_intervals(estimate)  # as in the summaries of other commands
     summary = IntervalSummary.of(estimate, intervals)
@@ -130,9 +131,6 @@ def _pictures(
     result = EstimateArrays.of(estimate)
     examples = list(report_plots.example_texels(table, estimate, result, intervals.mass, turned))
     report(4, 5)
-    warnings = list(capture.warnings)
-    if capture.source is not None:  # remove local paths: pages are shared
-        warnings = [sentence.replace(f"{capture.source}{os.sep}", "") for sentence in warnings]
     return {
         "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,
         "left_out": left_out, "light": _light(capture), "frames": frames, "maps": maps,
@@ -140,9 +138,19 @@ def _pictures(
         "errors": _errors(capture, estimate, textures), "error_end": WORST,
         "error_colormap": style.DIFFERENCE_COLORMAP, "colors": style.SETTLED_COLORS,
         "unseen": style.UNSEEN, "color": estimate.posterior.channels == 3,
-        "skipped": summary_text.skipped_sentences(estimate), "warnings": warnings[:WARNINGS],
-        "more_warnings": warnings[WARNINGS:],
+        "skipped": summary_text.skipped_sentences(estimate),
+        "warnings": capture.warnings[:WARNINGS], "more_warnings": capture.warnings[WARNINGS:],
     }  # fmt: skip
+
+
+def _shared(capture: Capture, settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the warnings without local folders, as pages are shared."""
+    sentences = list(capture.warnings)
+    for path in (capture.source, *settings.values()):
+        if isinstance(path, Path) and path.name:
+            inside = [sentence.replace(f"{path}{os.sep}", "") for sentence in sentences]
+            sentences = [sentence.replace(str(path), path.name) for sentence in inside]
+    return tuple(sentences)
 
 
 def _light(capture: Capture) -> dict[str, Any] | None:

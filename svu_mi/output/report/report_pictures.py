@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import block_means, tone_mapped
+from svu_mi.capture.tonemap import block_means, tone_mapped, with_bounds
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.output import object_views, rerender, surface_maps
 from svu_mi.output.estimate_arrays import is_seen, open_axes
@@ -71,8 +71,10 @@ def thumbnails(
     def notes(view: int) -> str:
         part = seen.get(view, 0) / max(estimate.texels.count, 1)
         facts = [f"shows {percent(part)} of the points"]
-        if capture.unusable[view]:
-            facts.append(f"{grouped(capture.unusable[view])} unusable pixels")
+        saturation = capture.clipped[view] if capture.clipped else None
+        saturated = 0 if saturation is None else int((saturation.channels > 0).sum())
+        kinds = {"saturated": saturated, "unusable": capture.unusable[view] - saturated}
+        facts += [f"{grouped(n)} {kind} pixels" for kind, n in kinds.items() if n > 0]
         if capture.exposures[view] != 1:
             facts.append(f"exposure × {capture.exposures[view]:.3g}")
         return ", ".join(facts)
@@ -90,7 +92,7 @@ def subsample(views_: Sequence[int], most: int) -> list[int]:
 
 def _thumbnail(capture: Capture, view: int) -> np.ndarray:
     """Return a photograph at thumbnail size, exposed for the object."""
-    image, mask = capture.images[view], capture.masks[view]
+    image, mask = with_bounds(capture, view), capture.masks[view]
     step = max(max(image.shape[:2]) // (OVERSAMPLED * THUMBNAIL), 1)  # limits the cost
     image, mask = image[::step, ::step], None if mask is None else mask[::step, ::step]
     # Average whole blocks, which is fast; Pillow does the remaining reduction.

@@ -21,7 +21,7 @@ from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.importers.source import OPENCV
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import film_size, focal_length, principal_point
-from svu_mi.capture.tonemap import tone_mapped
+from svu_mi.capture.tonemap import tone_mapped, with_bounds
 
 LIGHT_STRENGTH = 4.0  # factor of texture colours: white needs more than a texture value of 1
 EXPOSURE = 0.6
@@ -96,7 +96,7 @@ def frustum(capture: Capture, view: int, side: int) -> Frustum:
     width, height = film_size(sensor)
     x, y = principal_point(sensor)
     half = np.array([max(x, width - x), max(y, height - y)])  # of the padded picture
-    screen = tone_mapped(capture.images[view], capture.masks[view])
+    screen = tone_mapped(with_bounds(capture, view), capture.masks[view])
     small = Image.fromarray(quantized(screen))
     small.thumbnail((side, side))
     scale = np.array(small.size) / (width, height)

@@ -678,18 +678,23 @@ def test_exif_is_used_if_all_photographs_have_it(source, tmp_path):
     assert loaded(replace(unlike, frames=recorded), tmp_path / "own").exposures == (2.0, 2.0)
 
 
-@pytest.mark.parametrize(("settings", "known"), [
-    (((1 / 80, 1.8), (1 / 80, 1.8)), True), (((1 / 80, None), (1 / 80, None)), True),
-    (((1 / 80, 1.8), (1 / 80, None)), False), (((1 / 80, 1.8), (None, 1.8)), False),
-    (((1 / 80, 1.8), (0, 1.8)), False),
+@pytest.mark.parametrize(("settings", "unused"), [
+    (((1 / 80, 1.8), (1 / 80, 1.8)), ""), (((1 / 80, None), (1 / 80, None)), ""),
+    (((1 / 80, 1.8), (1 / 80, None)), "2 of 2"), (((1 / 80, 1.8), (None, 1.8)), "1 of 2"),
+    (((1 / 80, 1.8), (0, 1.8)), "1 of 2"), (((None, 1.8), (0, None)), "none"),
 ])  # fmt: skip
-def test_equal_and_partial_exif(source, tmp_path, settings, known):
-    """A missing time or aperture is not guessed: the exposures are unknown."""
+def test_equal_and_partial_exif(source, tmp_path, settings, unused):
+    """A missing time or aperture is not guessed: the exposures are unknown, which is reported."""
+    known = not unused
     some = with_exif(source, *settings)
     notes = import_capture(some, tmp_path / "default")
     capture = svu.load_capture(tmp_path / "default")
     assert capture.exposures == (1.0, 1.0) and capture.exposures_known == known
-    assert not any("EXIF" in note for note in notes)
+    said = [note for note in notes if "EXIF" in note]
+    assert len(said) == unused.endswith("of 2")
+    for note in said:
+        assert note.startswith(f"EXIF: exposures of {unused} photographs are not used: ")
+        assert "exif1.jpg: no " in note and note.endswith("as a list with --exposures.")
     if not known:
         with pytest.raises(CaptureError, match=r"exif[01].jpg: .* EXIF data"):
             import_capture(some, tmp_path / "again", ImportOptions(exposures="exif"))
