@@ -76,7 +76,7 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
         f"{plain_percent(area_share(texel_areas(recovery), is_seen(recovery)))} "
         "of the surface area seen",
         *([] if estimate is None else [f"preset {estimate.preset.name}"]),
-        f"difference: yellow from {WORST:g}",
+        f"difference: yellow from {WORST:g}; grey pixels of photographs are omitted",
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
     ]
@@ -120,9 +120,8 @@ def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
 def _comparison_panels(comparison: RenderComparison) -> list[Panel]:
     """Return panels of a photograph, its render and their difference."""
     error = comparison.mean_difference
-    unusable = np.isnan(comparison.photograph[comparison.inside]).any()
     titles = (
-        style.photograph_title(comparison.name) + (" (grey: not compared)" if unusable else ""),
+        style.photograph_title(comparison.name),
         "Rendered with these textures",
         "Difference" if error is None else f"Difference, mean {error:.3f}",
     )  # fmt: skip

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.core.io.files import replacing
-from svu_mi.errors import excerpt
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +37,7 @@ UNSEEN = (0.55, 0.55, 0.58)  # grey: in no colormap but GREY, and darker than th
 OUTSIDE = (0.95, 0.95, 0.96)  # without surface
 INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
 ENTROPY_ENDS = "0 = certain, 1 = no information"
-LONGEST = 24  # characters of the name of a photograph
+LONGEST = 18  # characters of the name of a photograph
 TEXT = 9  # points: tick labels and legends
 PNG_LEVEL = 3  # half the time of Pillow's default 6, for 10 % more bytes
 BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, relative to its axes
@@ -131,8 +130,8 @@ def title(axes: Axes, text: str, pad: float = 6) -> None:
 
 
 def photograph_title(name: str) -> str:
-    """Return the title of a picture of a photograph; long names are cut."""
-    return f"Photograph {excerpt(name, LONGEST)}"
+    """Return the title of a picture of a photograph; of long names, the end is shown."""
+    return f"Photograph {name if len(name) <= LONGEST else f'…{name[1 - LONGEST :]}'}"
 
 
 def caption(axes: Axes, text: str) -> None:
