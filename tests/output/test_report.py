@@ -390,7 +390,7 @@ def test_many_photographs_are_thinned_out(capture, estimate):
     many = SimpleNamespace(
         **vars(capture) | {name: getattr(capture, name) * 40
                            for name in ("sensors", "images", "masks", "names", "unusable", "used",
-                                        "exposures")}
+                                        "clipped", "exposures")}
     )  # fmt: skip
     many.count = len(many.sensors)
     shown, left_out = report_pictures.thumbnails(many, estimate)

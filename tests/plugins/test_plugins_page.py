@@ -21,7 +21,7 @@ UNLISTED = {"map", "rr_depth", "texture"}  # in the text or in another row
 @pytest.mark.parametrize("name", ["svu_entropy", "svu_sh"])
 def test_defaults_are_those_of_the_code(root, name):
     page = (root / "notebooks" / "plugins.md").read_text(encoding="utf-8")
-    rows = re.search(rf"## {name}:.*?\n((?:\|.*\n)+)", page, re.DOTALL)[1]
+    rows = re.search(rf"## {name}:.*?\n((?:\|[^\n]*\n)+)", page, re.DOTALL)[1]
     listed = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", rows, re.MULTILINE))
     read = {}
     for node in ast.walk(ast.parse((root / "plugins" / f"{name}.py").read_text())):
