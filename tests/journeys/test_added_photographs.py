@@ -54,7 +54,7 @@ def test_sensors_are_included_in_a_scene(made, root, tmp_path):
 
 
 def test_frames_are_appended_to_transforms(made):
-    frames = [frame_of(s, n) for s, n in zip(made.sensors, made.files, strict=True)]
+    frames = [frame_of(s, Path(n)) for s, n in zip(made.sensors, made.files, strict=True)]
     write_transforms("photographs/transforms.json", frames)
     write_exr("probe.exr", {"RGB": np.ones((8, 16, 3), np.float32)})
     line = (
