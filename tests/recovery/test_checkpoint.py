@@ -134,6 +134,7 @@ def test_settings_that_json_cannot_hold_are_refused(tmp_path):
             Checkpoint(tmp_path / "c.npz", bad)
     with pytest.raises(OptionError, match="every must be at least 0 seconds"):
         Checkpoint(tmp_path / "c.npz", {}, every=-1.0)
+    assert Checkpoint(tmp_path / "c.npz", {}, every=0.5).every == 0.5
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):

@@ -306,6 +306,19 @@ def test_cameras_follow_their_photographs(tmp_path):
         square_pixel_frame(given, 0.5)
 
 
+@pytest.mark.parametrize(("off", "is_square"), [(0.04, True), (0.06, False)])
+def test_pixels_are_square_if_the_border_moves_by_a_twentieth_of_one(off, is_square):
+    frame = Frame(label="", image=Path("a"), to_world=np.eye(4), center=(30.0, 20.0),
+                  focal=(50 * (1 + off / 30), 50.0), size=(60, 40))  # fmt: skip
+    assert (square_pixel_frame(frame)[1] == (1, 1)) == is_square
+
+
+def test_a_jpeg_of_4_megapixels_is_copied(tmp_path):
+    frame = photograph(tmp_path / "photo.jpg", np.full((2048, 2048, 3), 90, np.uint8))
+    convert_photograph(frame, tmp_path / "view.exr", (1.0, 1.0))
+    assert (tmp_path / "view.jpg").read_bytes() == (tmp_path / "photo.jpg").read_bytes()
+
+
 def pixel_rays(frame: Frame) -> np.ndarray:
     """Slopes at the corner of the first pixel, (0, 0)."""
     return -np.array(frame.center) / frame.focal

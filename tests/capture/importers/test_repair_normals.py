@@ -17,7 +17,7 @@ import svu_mi as svu
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
-from svu_mi.capture.importers.repair_normals import CREASE, repair_normals
+from svu_mi.capture.importers.repair_normals import CREASE, _corners_at_edges, repair_normals
 from svu_mi.capture.importers.source import Frame, Light, Source
 from svu_mi.capture.load_warnings import back_face_share, faces_outward
 from svu_mi.capture.mesh import MeshArrays, arrays
@@ -90,6 +90,13 @@ def test_smooth_mesh_and_degenerate_triangles_add_no_vertices():
     twice = np.concatenate([ball.faces, ball.faces])  # every edge has four triangles
     mesh, _ = repair_normals(replace(ball, faces=twice), "ball")
     assert len(mesh.positions) == len(ball.positions)
+
+
+def test_corners_of_two_triangles_at_their_edge():
+    two, three = [[0, 1, 2], [1, 0, 3]], [[0, 1, 2], [1, 0, 3], [0, 1, 4]]
+    pairs, are_two = _corners_at_edges(np.array(two))
+    assert pairs.tolist() == [[[0, 1]], [[4, 3]]] and are_two.tolist() == [True]
+    assert not _corners_at_edges(np.array(three))[1].any()
 
 
 def test_the_two_sides_of_a_sheet_do_not_cancel():
@@ -215,14 +222,16 @@ def test_an_open_vase_is_turned_to_the_cameras(tmp_path, inside_out):
     assert corner_cosines(imported).min() > 0.5
 
 
-@pytest.mark.parametrize(("height", "turned"), [(2.0, False), (-2.0, True)])
-def test_a_plate_shows_the_side_that_was_photographed(tmp_path, height, turned):
+@pytest.mark.parametrize(
+    ("height", "poses", "turned"),
+    [(2.0, around(height=2), False), (-2.0, around(height=-2), True),
+     (2.0, [*around(height=2), *around(height=-2)], False)],
+)  # fmt: skip
+def test_a_plate_shows_the_side_that_was_photographed(tmp_path, height, poses, turned):
     plate = trimesh.Trimesh(
         [[-1, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]], [[0, 1, 2], [0, 2, 3]], process=False
     )
-    notes = import_capture(
-        source_of(tmp_path / "given", plate, around(height=height)), tmp_path / "capture"
-    )
+    notes = import_capture(source_of(tmp_path / "given", plate, poses), tmp_path / "capture")
     assert any("100% of its" in note for note in notes) == turned
     normal = arrays(svu.load_capture(tmp_path / "capture").mesh).normals
     np.testing.assert_allclose(normal, [[0, np.sign(height), 0]] * len(normal), atol=1e-6)
