@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from itertools import takewhile
 
 PICTURE = "map_kd"
+MOST = 1000  # textures, of which each is looked for in several folders
 QUOTED = re.compile(r"""(["'])(.*?)\1""")
 WORD = re.compile(r"\S+")
 COMMENT = re.compile(r"(?:^|\s)#")  # other # belong to names
@@ -22,10 +23,17 @@ MOVING = {"-o": 0.0, "-s": 1.0, "-t": 0.0}  # options that change UVs, and value
 
 
 def rewritten(text: str) -> Iterator[str]:
-    """Yield the lines of an MTL; pictures are plain names. Raise ValueError for moved ones."""
+    """Yield the lines of an MTL; pictures are plain names.
+
+    Moved pictures, or too many, raise ValueError.
+    """
+    pictures = 0
     for line in text.replace("\\\n", " ").splitlines():
         key, _, rest = COMMENT.split(line)[0].strip().replace("\t", " ").partition(" ")
         if key.lower() == PICTURE:
+            pictures += 1
+            if pictures > MOST:
+                raise ValueError(f"its MTL has over {MOST} textures; export one material")
             yield f"{PICTURE} {_picture(rest.strip())}"
         elif key:
             yield line.strip()

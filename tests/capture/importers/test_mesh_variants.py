@@ -291,6 +291,14 @@ def test_files_of_a_mesh_that_are_too_large_are_refused_unread(tmp_path, name, l
         read_textured_mesh(path)
 
 
+def test_a_material_with_too_many_textures_is_refused(tmp_path):
+    path = obj(tmp_path, "map_Kd base.png\n" * 1000)
+    np.testing.assert_array_equal(read_textured_mesh(path).textures["base_color"], PICTURE)
+    path = obj(tmp_path, "map_Kd base.png\n" * 1001)
+    with pytest.raises(MeshError, match="its MTL has over 1000 textures; export one material"):
+        read_textured_mesh(path)
+
+
 def test_geometry_only_opens_no_material(tmp_path):
     path = obj(tmp_path, "map_Kd /etc/passwd", picture="")
     with pytest.raises(MeshError, match="lies outside"):
