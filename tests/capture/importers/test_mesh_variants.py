@@ -299,6 +299,17 @@ def test_a_material_with_too_many_textures_is_refused(tmp_path):
         read_textured_mesh(path)
 
 
+@pytest.mark.parametrize("name", ["points.obj", "points.ply"])
+def test_points_are_no_mesh(tmp_path, name):
+    head = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(
+        f"property float {axis}\n" for axis in "xyz"
+    )
+    (tmp_path / "points.ply").write_text(f"{head}end_header\n0 0 0\n1 0 0\n0 1 0\n")
+    (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
+    with pytest.raises(MeshError, match=f"{name}: contains no triangle mesh; export one"):
+        read_textured_mesh(tmp_path / name)
+
+
 def test_geometry_only_opens_no_material(tmp_path):
     path = obj(tmp_path, "map_Kd /etc/passwd", picture="")
     with pytest.raises(MeshError, match="lies outside"):
