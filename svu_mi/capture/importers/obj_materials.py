@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from itertools import takewhile
 
 PICTURE = "map_kd"
-MOST = 1000  # textures, of which each is looked for in several folders
+MOST = 1000  # textures; the name of each is searched in several folders
 QUOTED = re.compile(r"""(["'])(.*?)\1""")
 WORD = re.compile(r"\S+")
 COMMENT = re.compile(r"(?:^|\s)#")  # other # belong to names
