@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import svu_mi as svu
-from svu_mi.bench import BENCHMARKS, calibration, light, paper, scaling
+from svu_mi.bench import BENCHMARKS, calibration, light, paper, paths, scaling, sureness
 from svu_mi.bench.captures import FRONT, uneven_views
 from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
@@ -29,7 +29,7 @@ from svu_mi.geometry.visibility import trace_visibility
 from svu_mi.recovery.recover import recover
 
 SIZES = ProblemSizes(
-    views=12, film=32, spp=4, texels=32, reference_texels=20, reference_spp=4,
+    views=8, film=24, spp=4, texels=24, reference_texels=12, reference_spp=2,
     recovery=RecoverySizes(relit_views=1, relit_spp=2, repeats=1, scale=0.05, warm=False),
 )  # fmt: skip
 CASES = own_cases(["vase"], ["window"])
@@ -37,16 +37,19 @@ BASE = Variant("spectrum default", "spectrum", "default")
 ENTROPY_ROWS = table3._entropy_rows()[:3]
 
 
-def _briefly(known, **words):
-    return recover(known, **words, sh=RecoveryMethod("", "sh", words["preset"]).options(0.05)[0])
+def _briefly(*known, preset="default", **words):
+    sh = RecoveryMethod("", "sh", preset).options(0.05)[0]
+    return recover(*known, preset=preset, **words, sh=sh)
 
 
 TINY = {
-    light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
-    calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 4},
+    light: {"QUICK": {"views": 12, "film": 32, "spp": 4}, "QUICK_TEXELS": 24},
+    calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 2},
     scaling: {"QUICK": scaling.ScalingSizes(
-        resolutions=(16, 32, 48), views=(3, 6, 12), resolution=24, photographs=(6, 32), repeats=1)},
-    table2: {"QUICK_FILM": 32, "QUICK_TEXELS": 24, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
+        resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
+    paths: {"QUICK": (12, 2, 1)},
+    sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
+    table2: {"QUICK_FILM": 24, "QUICK_TEXELS": 16, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
     table3: {"QUICK": (12, 4), "_entropy_rows": lambda: ENTROPY_ROWS},
     figure9: {"QUICK_VIEWS": 12, "ADDED": (1,), "QUICK_TEXELS": 16, "recover": _briefly},
 }  # fmt: skip
