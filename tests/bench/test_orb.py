@@ -44,7 +44,6 @@ from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuWarning
 from svu_mi.recovery.svbrdf_textures import Textures
 
-pytestmark = pytest.mark.slow  # test_import_capture.py reads a small set of this layout
 LIGHTS = ("window", "studio")
 PHOTOGRAPHS = DatasetSizes(train=12, test=2, film=48, spp=48, test_spp=1024, environment=128)
 TINY = OrbSizes(film=48, texels=48, spp=256, recovery=RecoverySizes(warm=False, repeats=1))
@@ -343,6 +342,7 @@ def true_textures():
     })  # fmt: skip
 
 
+@pytest.mark.slow
 def test_normals_of_the_scan_are_computed_anew(setting):
     mesh = arrays(setting.capture.mesh)
     corners = mesh.positions[mesh.faces]
@@ -351,6 +351,7 @@ def test_normals_of_the_scan_are_computed_anew(setting):
     assert np.einsum("fi,fi->f", face, mesh.normals[mesh.faces].mean(axis=1)).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_true_textures_under_their_light_match_photographs(setting):
     textures = true_textures()
     scores = setting.score(textures, "truth")
@@ -380,6 +381,7 @@ def test_recovered_textures_are_far_better_than_grey(record):
     assert {one["capture"] for one in recovered["view"]["single"]} == {FIRST}
 
 
+@pytest.mark.slow
 def test_record_csv_and_pictures_are_written(record, folder):
     stored = json.loads((folder / "orb.json").read_text())
     assert stored["cells"][0]["name"] == FIRST
@@ -395,10 +397,12 @@ def test_record_csv_and_pictures_are_written(record, folder):
     assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_finished_results_are_kept(record, data, folder):
     assert run(folder, data, stored=True)["cells"] == record["cells"]
 
 
+@pytest.mark.slow
 def test_an_unreadable_capture_is_skipped(record, data, folder, monkeypatch):
     head = OrbCase.head
 
@@ -414,6 +418,7 @@ def test_an_unreadable_capture_is_skipped(record, data, folder, monkeypatch):
     assert record["failed"] == [{"cell": SECOND, "reason": "torn"}]
 
 
+@pytest.mark.slow
 def test_a_test_photograph_needs_light_and_mask(data):
     view = read_views(data / "blender_HDR" / FIRST, "test")[0]
     with pytest.raises(CaptureError, match="0012.exr: the environment map is missing"):
@@ -429,6 +434,7 @@ def test_a_test_photograph_needs_light_and_mask(data):
     np.testing.assert_allclose(small.photograph, whole, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_names_are_checked_before_a_run(data):
     folders = find_captures(data)
     assert chosen_captures(folders, ["vase"]) == chosen_captures(folders, []) == folders
@@ -442,6 +448,7 @@ def test_names_are_checked_before_a_run(data):
     assert all(row.options()[1].max_depth is None for row in ROWS)
 
 
+@pytest.mark.slow
 def test_own_scenes_replace_the_data_set(tmp_path, monkeypatch):
     rendered = []
 
