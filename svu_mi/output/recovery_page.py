@@ -76,7 +76,7 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
         f"{plain_percent(area_share(texel_areas(recovery), is_seen(recovery)))} "
         "of the surface area seen",
         *([] if estimate is None else [f"preset {estimate.preset.name}"]),
-        f"difference: yellow from {WORST:g}; grey pixels of photographs are omitted",
+        f"difference: yellow from {WORST:g}",
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
     ]

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.sensors import film_size, scaled_sensor
-from svu_mi.capture.tonemap import resized, tone_mapped, white_radiance
+from svu_mi.capture.tonemap import resized, tone_mapped, white_radiance, with_bounds
 from svu_mi.output import object_views, style
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
 from svu_mi.recovery.relighting import novel_light, relight
@@ -32,7 +32,8 @@ class RenderComparison:
     Attributes:
         view: Index into ``capture.sensors``.
         name: Name of the photograph.
-        photograph: (h, w, 3) linear radiance; NaN for unusable pixels.
+        photograph: (h, w, 3) linear radiance, with bounds of saturated channels; NaN if unusable.
+        exact: (h, w) bool, pixels that are neither saturated nor unusable.
         render: (h, w, 3) linear radiance of the object with the textures under the capture's light;
             0 outside the object.
         inside: (h, w) bool, pixels that the object covers completely.
@@ -42,16 +43,16 @@ class RenderComparison:
     view: int
     name: str
     photograph: np.ndarray
+    exact: np.ndarray
     render: np.ndarray
     inside: np.ndarray
     relit: np.ndarray | None = None
 
     @cached_property
     def difference(self) -> np.ndarray:
-        """Largest difference of sRGB values among channels, (h, w); NaN outside the object."""
+        """Largest difference of sRGB values among channels, (h, w); NaN where not comparable."""
         error = np.abs(np.subtract(*self._exposed)).max(axis=2)
-        usable = self.inside & np.isfinite(self.photograph).all(axis=2)
-        return np.where(usable, error, np.nan)
+        return np.where(self.inside & self.exact, error, np.nan)
 
     @property
     def mean_difference(self) -> float | None:
@@ -107,8 +108,9 @@ def compare_renders(
     return [
         RenderComparison(
             view=view, name=capture.names[view],
-            photograph=resized(capture.images[view], film_size(sensor)), inside=mask,
-            render=renders[0], relit=renders[1] if relit else None,
+            photograph=resized(with_bounds(capture, view), film_size(sensor)),
+            exact=np.isfinite(resized(capture.images[view], film_size(sensor))).all(axis=2),
+            inside=mask, render=renders[0], relit=renders[1] if relit else None,
         )
         for view, sensor, mask, *renders in zip(chosen, sensors, inside, *lit, strict=True)
     ]  # fmt: skip

@@ -77,7 +77,8 @@ def test_the_page_of_a_recovery_begins_with_the_comparison(vase, drawn):
     )  # fmt: skip
     image, inside = np.full((8, 8, 3), 0.5, np.float32), np.ones((8, 8), bool)
     one = RenderComparison(
-        view=1, name="IMG_8.JPG", photograph=image, render=image, inside=inside, relit=image
+        view=1, name="IMG_8.JPG", photograph=image, exact=inside, render=image, inside=inside,
+        relit=image,
     )  # fmt: skip
     pair = [one, replace(one, view=2, name=f"IMG_{'9' * 99}.JPG")]
     write_recovery_overview(vase.capture, recovery, pair, "unused", vase.estimate)

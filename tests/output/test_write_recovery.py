@@ -18,6 +18,7 @@ from support.helpers import ball, memory_capture, sensor_xml, write_older, write
 import svu_mi as svu
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import scene_xml
+from svu_mi.capture.quantization import Saturation
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
@@ -402,15 +403,23 @@ def test_pictures_of_large_photographs_are_small(vase, fine):
     comparison = compare_renders(capture, fine.truth, [0], spp=1)[0]
     assert comparison.photograph.shape == (240, 320, 3)
     hole = np.isnan(comparison.photograph).all(axis=2)
-    assert hole[112, 138] and 100 < hole.sum() < 400
+    assert hole[112, 138] and 100 < hole.sum() < 400 and (comparison.exact == ~hole).all()
     np.testing.assert_allclose(comparison.photograph[~hole], 1, rtol=1e-3)  # filters ring
+    red = np.isnan(photograph).all(axis=2).astype(np.uint8)
+    saturated = replace(capture, clipped=(Saturation(red, np.full(3, 5, np.float32)),))
+    bright = compare_renders(saturated, fine.truth, [0], spp=1)[0]
+    assert (bright.exact == comparison.exact).all() and np.isnan(bright.photograph[112, 138]).all()
+    photograph[400:440, 500:540, 1:] = 1  # only red has no value
+    bright = compare_renders(saturated, fine.truth, [0], spp=1)[0]
+    np.testing.assert_allclose(bright.photograph[112, 138], [5, 1, 1], rtol=1e-3)
+    assert not bright.exact[112, 138]
 
 
 def test_nothing_to_compare_is_no_error(tmp_path):
     nothing = np.full((8, 8, 3), np.nan, np.float32)
     empty = RenderComparison(
         view=0, name="a.jpg", photograph=nothing, render=np.ones((8, 8, 3)),
-        relit=np.ones((8, 8, 3)), inside=np.zeros((8, 8), bool),
+        relit=np.ones((8, 8, 3)), exact=np.zeros((8, 8), bool), inside=np.zeros((8, 8), bool),
     )  # fmt: skip
     assert empty.mean_difference is None
     write_relit([empty], tmp_path / "relit.png")
