@@ -242,7 +242,7 @@ class AngularPreset(_Channels):
     metals: float = 0.8
     """Prior probability that metallic is exactly 0 or 1 (calibrated)."""
 
-    levels: int = 8
+    levels: int = 10
     """Number of roughness levels of the statistics, which are interpolated in between (calibrated;
     otherwise statistics are gathered at the grid's nodes)."""
 

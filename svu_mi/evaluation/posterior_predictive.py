@@ -18,12 +18,12 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.light.light_visibility import is_unoccluded
-from svu_mi.posterior.calibrated_problem import level_shares
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, interpolate_radiance
 from svu_mi.reflection.reflection_model import ReflectionModel
+from svu_mi.reflection.roughness_levels import level_shares, roughness_levels
 from svu_mi.statistics.gather_statistics import GRAZING, Values, mixing_values
 
 CHANNELS = 3
@@ -35,7 +35,7 @@ class Prediction:
 
     Attributes:
         scene: Scene with the occluders.
-        model: Reflection model of the texels at evenly spaced roughness levels on [0, 1].
+        model: Reflection model of the texels at ``roughness_levels``.
         draws: D draws from the posterior: a Float per channel by parameter.
         shares: Spline weights of the R levels for the roughness of each draw: R Floats.
     """
@@ -64,14 +64,13 @@ class Prediction:
         if not is_calibrated or estimate.posterior.channels != CHANNELS:
             raise OptionError("Predicting photographs needs an angular estimate, preset default.")
         assert observed is not None and isinstance(switches, AngularPreset)
-        levels = np.linspace(0, 1, switches.levels)
-        model = observed.model(levels, switches, CHANNELS, texels)
+        model = observed.model(roughness_levels(switches.levels), switches, CHANNELS, texels)
         drawn = {name: np.array(values)[:, texels]
                  for name, values in estimate.posterior.draw(draws, seed).items()}  # fmt: skip
         return Prediction(
             observed.views.scene, model,
             [{name: _floats(values[k]) for name, values in drawn.items()} for k in range(draws)],
-            [shares_of(values, levels) for values in drawn["roughness"]],
+            [shares_of(values, switches.levels) for values in drawn["roughness"]],
         )  # fmt: skip
 
     def seen_from(self, eye: np.ndarray) -> np.ndarray:
@@ -89,7 +88,7 @@ class Prediction:
         return radiance
 
 
-def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
+def shares_of(roughness: np.ndarray, levels: int) -> list[Any]:
     """Return the spline weight of each level at (n,) roughness values: R Floats."""
     return _floats(level_shares(roughness, levels))
 

@@ -13,6 +13,7 @@ from svu_mi.errors import OptionError, excerpt
 from svu_mi.evaluation.squared_errors import CORNERS
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.presets import AngularPreset, Errors
+from svu_mi.reflection.roughness_levels import roughness_levels
 
 Method = Literal["linear", "brute"]
 Noise = Literal["relative", "heteroscedastic", "estimated"]
@@ -55,7 +56,7 @@ class ReferenceOptions:
         """Traced roughness levels, (R,); the angular estimator's levels if noise is estimated."""
         nodes = self.grid.roughness_nodes
         if self.noise == "estimated" and len(nodes) > 1:
-            return np.linspace(0, 1, AngularPreset().levels)
+            return roughness_levels(AngularPreset().levels)
         return nodes
 
     @property

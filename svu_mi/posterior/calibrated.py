@@ -42,6 +42,7 @@ from svu_mi.posterior.quadrature import (
 )
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
+from svu_mi.reflection.roughness_levels import roughness_levels
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.statistics import Statistics
 
@@ -316,7 +317,7 @@ def calibrated_posterior(
     """Compute the posterior with noise estimated from the residual of each texel.
 
     Args:
-        statistics: statistics of S texels at evenly spaced roughness levels on [0, 1], or factors.
+        statistics: statistics of S texels at ``roughness_levels``, or factors.
         grid: grid of the bins; default: 8 x 8 x 8.
         scale: radiance unit, such as the mean of the photographs.
         preset: name or options.
@@ -330,11 +331,14 @@ def calibrated_posterior(
 
     Raises:
         OptionError: a preset of another method, or an invalid scale or prior.
-        ShapeError: the prior's shape differs from the grid's, or levels are not evenly spaced.
+        ShapeError: the prior's shape differs from the grid's, or other levels than
+            ``roughness_levels``.
 
     Example:
         >>> observed = estimate.observed
-        >>> statistics = observed.statistics(np.linspace(0, 1, 8), estimate.preset, 3)
+        >>> from svu_mi.reflection.roughness_levels import roughness_levels
+        >>> levels = roughness_levels(estimate.preset.levels)
+        >>> statistics = observed.statistics(levels, estimate.preset, 3)
         >>> posterior = svu.calibrated_posterior(statistics, scale=observed.unit)
         >>> posterior.mean("base_color").shape == (estimate.texels.count, 3)
         True
@@ -373,8 +377,8 @@ def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
         good = np.array_equal(levels, nodes)
         wanted = f"the known roughness, {nodes[0]:g}"
     else:
-        good = len(levels) >= FEWEST and np.allclose(levels, np.linspace(0, 1, len(levels)))
-        wanted = f"at least {FEWEST} evenly spaced levels from 0 to 1"
+        good = len(levels) >= FEWEST and np.allclose(levels, roughness_levels(len(levels)))
+        wanted = f"at least {FEWEST} levels of roughness_levels()"
     if not good:
         raise ShapeError(
             f"calibrated_posterior(): statistics must be gathered at {wanted}, got roughness "

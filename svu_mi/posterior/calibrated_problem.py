@@ -14,9 +14,9 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.quadrature import ProductAxis, QuadratureAxis
 from svu_mi.posterior.truncated_normal import FULL_SUPPORT
-from svu_mi.statistics.cholesky_factors import Factors, catmull_rom
+from svu_mi.reflection.roughness_levels import spline_weights
+from svu_mi.statistics.cholesky_factors import Factors
 
-SPLINE_LEVELS = 4  # number of levels that a spline interpolates
 NEVER = 1e30  # stands for -log 0
 
 
@@ -135,7 +135,7 @@ class NodeTables:
     @staticmethod
     def of(problem: CalibratedProblem) -> NodeTables:
         r, m = problem.roughness, problem.mixed
-        levels, weights = spline_weights(r.value, problem.factors.roughness)
+        levels, weights = spline_weights(r.value, problem.factors.levels)
         ends = np.diff(r.bin, append=r.bins) != 0
         inside = [axis.mass / axis.of_bins()[axis.bin] for axis in (r, m)]
         values, variances = m.at_all("value"), m.at_all("part_variance")
@@ -152,27 +152,3 @@ class NodeTables:
             first=to_drjit(mi.UInt32, r.first.astype(np.uint32)),
             last=to_drjit(mi.UInt32, (ends * problem.shape[1]).astype(np.uint32)),
         )
-
-
-def spline_weights(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return level indices and weights of Catmull-Rom interpolation, (N, 4) int64 and float64.
-
-    ``levels`` are (R,) ascending and uniform; values beyond them are clamped.
-    """
-    last = len(levels) - 1
-    if last == 0:
-        shape = len(values), SPLINE_LEVELS
-        return np.zeros(shape, int), np.broadcast_to([1.0, 0, 0, 0], shape)
-    place = np.clip((values - levels[0]) / (levels[-1] - levels[0]), 0, 1) * last
-    begin = np.minimum(np.floor(place), last - 1)
-    weights = catmull_rom(place - begin)
-    near = np.clip(begin[:, None] + np.arange(-1, 3), 0, last).astype(int)
-    return near, np.stack(weights, axis=1)
-
-
-def level_shares(values: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Return the spline weight of each of R levels at (n,) values, (n, R) float64."""
-    near, weights = spline_weights(values.astype(np.float64), levels)
-    shares = np.zeros((len(values), len(levels)))
-    np.add.at(shares, (np.arange(len(values))[:, None], near), weights)
-    return shares

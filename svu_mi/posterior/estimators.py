@@ -39,6 +39,7 @@ from svu_mi.posterior.prediction import FoldTest, predict
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import Plan
 from svu_mi.presets import AngularPreset, AnyPreset
+from svu_mi.reflection.roughness_levels import roughness_levels
 from svu_mi.statistics.cholesky_factors import Factors, stride
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
@@ -286,10 +287,10 @@ def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:
 
 
 def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
-    """Return the statistics' roughness levels: evenly spaced, or the planned grid nodes."""
+    """Return the statistics' roughness levels: ``roughness_levels``, or the planned grid nodes."""
     nodes = inputs.grid.roughness_nodes
     if switches.noise == "estimated" and len(nodes) > 1:
-        return np.linspace(0, 1, switches.levels)
+        return roughness_levels(switches.levels)
     return np.asarray(nodes[inputs.plan.levels])
 
 

@@ -15,9 +15,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.posterior.calibrated_problem import SPLINE_LEVELS, CalibratedProblem
+from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
 from svu_mi.reflection.principled import Mixture, mixture
+from svu_mi.reflection.roughness_levels import SPLINE_LEVELS
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
 
 FAR = 28.0  # energy above the best node [nats], prior included, from which a node is skipped

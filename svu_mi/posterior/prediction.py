@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.calibrated_problem import level_shares
 from svu_mi.reflection.principled import mixture
+from svu_mi.reflection.roughness_levels import level_shares
 from svu_mi.statistics.cholesky_factors import pair_weights
 from svu_mi.statistics.statistics import Statistics
 
@@ -86,7 +86,7 @@ def predict(
     mix = mixture(*(of_folds[name][..., 0] for name in MIXED))
     error = np.zeros(there.shape)
     roughness = of_folds["roughness"][..., 0]
-    shares = level_shares(roughness.ravel(), statistics.roughness).reshape(*roughness.shape, -1)
+    shares = level_shares(roughness.ravel(), statistics.levels).reshape(*roughness.shape, -1)
     for channel in range(channels):
         x = np.broadcast_arrays(*mix.at(of_folds["base_color"][..., channel]))
         error += np.einsum(

@@ -37,12 +37,6 @@ def mixed_radiance(
     ]
 
 
-def linear_weights(roughness: Any, levels: int) -> list[Any]:
-    """Return weights of linear interpolation between roughness levels, uniform on [0, 1]."""
-    place = roughness * (levels - 1)
-    return [dr.maximum(1 - dr.abs(place - k), 0) for k in range(levels)]
-
-
 def interpolate_radiance(
     levels: Sequence[list[Parts]], shares: Sequence[Any], base_color: Sequence[Any],
     mixed: Sequence[Any],

@@ -26,6 +26,7 @@ from svu_mi.reflection.principled import COLUMNS
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # index of the last entry, which is stored as a square
 TINY = 1e-13  # pivots below this fraction of the diagonal are rounding errors
+SUBNORMAL = 1e-300  # pivots below have no reciprocal square root
 
 
 def pair_weights(x: Sequence[np.ndarray]) -> np.ndarray:
@@ -232,7 +233,7 @@ def _cholesky(sums: list[Any]) -> list[Any]:
             # pivot is increased by no more than this rounding error.
             other = dr.maximum(left[j, j], dr.abs(left[i, j]))
             pivot = dr.maximum(pivot, dr.square(left[i, j]) / dr.select(other > 0, other, 1))
-        good = pivot > TINY * sums[PAIRS.index((i, i))]
+        good = pivot > dr.maximum(TINY * sums[PAIRS.index((i, i))], SUBNORMAL)
         root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
         U[i, i] = pivot * root
         for j in range(i + 1, COLUMNS):
@@ -241,13 +242,3 @@ def _cholesky(sums: list[Any]) -> list[Any]:
                 left[k, j] = left[k, j] - U[i, k] * U[i, j]
     U[COLUMNS - 1, COLUMNS - 1] = dr.maximum(left[COLUMNS - 1, COLUMNS - 1], 0)
     return [U[pair] for pair in PAIRS]
-
-
-def catmull_rom(t: Any) -> list[Any]:
-    """Return Catmull-Rom weights of four values; t in [0, 1] is between second and third."""
-    return [
-        0.5 * t * (-1 + t * (2 - t)),
-        0.5 * (2 + t * t * (-5 + 3 * t)),
-        0.5 * t * (1 + t * (4 - 3 * t)),
-        0.5 * t * t * (t - 1),
-    ]

@@ -22,11 +22,11 @@ from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.mix_columns import (
     Parts,
     interpolate_radiance,
-    linear_weights,
     mixed_radiance,
 )
 from svu_mi.reflection.principled import columns
 from svu_mi.reflection.reflection_model import ReflectionModel
+from svu_mi.reflection.roughness_levels import linear_weights
 from svu_mi.statistics.censored import CLIPPED_PART, BestModels, parabola
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import EDGES, LazyStatistics, noise_weight
@@ -47,7 +47,7 @@ class Weighting:
         kappa: radiance above which weights decrease (``noise_weight``).
         edges: eta, decrease of weights at image edges (``noise_weight``).
         current: parameters whose error |r - b| divides weights, to minimise absolute errors
-            [Holland and Welsch 1977]. Requires uniform levels on [0, 1]; sets kappa to NaN.
+            [Holland and Welsch 1977]. Requires ``roughness_levels``; sets kappa to NaN.
         models: best models of the texels; if given, only saturated channels are summed
             (``censored``).
     """

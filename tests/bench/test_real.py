@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracle.levels import levels as levels_of
 from PIL import Image
 from support.helpers import fails, launched_kernels, run
 
@@ -27,8 +28,8 @@ from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from, shares_of
-from svu_mi.posterior.calibrated_problem import spline_weights
 from svu_mi.presets import preset
+from svu_mi.reflection.roughness_levels import spline_weights
 
 VIEWS, FILM = 24, 72
 CLIPPED = 0.01  # part of the object's channels
@@ -146,7 +147,7 @@ def test_predictions_equal_the_model_of_the_statistics(vase):
     """The squared errors of single views add up to the squared errors of the statistics."""
     observed, switches = vase.estimate.observed, preset("default", method="angular")
     number = np.flatnonzero(observed.coverage == observed.coverage.max())[:40]
-    levels = np.linspace(0, 1, switches.levels)
+    levels = levels_of(switches.levels)
     model = observed.model(levels, switches, 3, number)
     level, metallic, color = 6, 0.25, 0.4
     values = {
@@ -154,7 +155,7 @@ def test_predictions_equal_the_model_of_the_statistics(vase):
         "metallic": [dr.full(mi.Float, metallic, len(number))],
         "base_color": [dr.full(mi.Float, color, len(number))] * 3,
     }  # fmt: skip
-    shares = shares_of(np.full(len(number), levels[level]), levels)
+    shares = shares_of(np.full(len(number), levels[level]), switches.levels)
     prediction = Prediction(observed.views.scene, model, [values], [shares])
     sums = observed.statistics(levels, switches, 3, texels=number)
     expected = sums.errors(np.array([metallic]), np.array([color]))[:, level, :, 0, 0]
@@ -184,9 +185,8 @@ def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def test_predictions_interpolate_between_levels():
-    levels = np.linspace(0, 1, 8)
-    shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), levels)], axis=1)
-    near, weights = spline_weights(np.array([0.07, 0.5, 1.0]), levels)
+    shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), 8)], axis=1)
+    near, weights = spline_weights(np.array([0.07, 0.5, 1.0]), 8)
     for row, which, counts in zip(shares, near, weights, strict=True):
         expected = np.zeros(8)
         np.add.at(expected, which, counts)

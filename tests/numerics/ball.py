@@ -10,6 +10,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from oracle.levels import levels as levels_of
 from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import Exact, angular_entropy
 from support.helpers import ball as sphere
@@ -140,7 +141,7 @@ def exact(estimate: Estimate, chosen: np.ndarray) -> list[Exact]:
     observed: Any = estimate.observed
     levels = grid.roughness_nodes
     if switches.noise == "estimated":
-        levels = np.linspace(0, 1, switches.levels)
+        levels = levels_of(switches.levels)
     model = observed.model(levels, switches, switches.colors, chosen)
     fields: list[Any] = []
     for view in range(observed.views.number):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from oracle.levels import levels as levels_of
 from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import angular_entropy
 
@@ -84,14 +85,15 @@ def exposed(data: Samples, gain: float) -> Samples:
     return w, *(gain * x for x in radiance)
 
 
-def statistics_of(data: Samples) -> Statistics:
-    """What ``gather`` keeps of samples."""
+def statistics_of(data: Samples, between: bool = False) -> Statistics:
+    """What ``gather`` keeps of samples, at nodes of the grid or levels to look ``between``."""
     w, b, e, p, q, d = data
     _, levels, _, views = e.shape
     columns = e, p, q - d, d - b[:, None]
     sums = [np.einsum("tv,trcv,trcv->rct", w, columns[i], columns[j]) for i, j in PAIRS]
     seen = np.full(len(w), views)
-    return Statistics.of(np.stack(sums, axis=2), w.sum(axis=1), seen, np.linspace(0, 1, levels))
+    roughness = levels_of(levels) if between else np.linspace(0, 1, levels)
+    return Statistics.of(np.stack(sums, axis=2), w.sum(axis=1), seen, roughness)
 
 
 def posterior_of(
@@ -99,7 +101,7 @@ def posterior_of(
     prior: np.ndarray | None = None,
 ) -> Any:  # fmt: skip
     """The posterior of samples: with a noise that is given, or estimated."""
-    statistics = statistics_of(data)
+    statistics = statistics_of(data, switches.noise == "estimated")
     if switches.noise == "estimated":
         return calibrated_posterior(statistics, grid, scale, switches)
     return angular_posterior(statistics, grid, scale, switches, prior=prior)

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.special import log_ndtr
 
+from oracle.levels import place as place_of
+
 PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
 
 
@@ -58,9 +60,9 @@ def factors(sums: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def between_levels(U: np.ndarray, roughness: float) -> np.ndarray:
-    """Interpolate by a Catmull-Rom spline over levels uniform on [0, 1]; ends are repeated."""
+    """Interpolate by a Catmull-Rom spline in the place among levels; ends are repeated."""
     last = len(U) - 1
-    place = roughness * last
+    place = float(place_of(roughness, len(U)))
     k = min(int(place), last - 1)
     t = place - k
     a, b, c, d = (U[min(max(k + step, 0), last)] for step in (-1, 0, 1, 2))

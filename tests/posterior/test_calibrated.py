@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
 from oracle import calibrated as oracle
+from oracle.levels import levels as levels_of
 from scipy import stats
 
 import svu_mi as svu
@@ -19,7 +22,7 @@ from svu_mi.posterior.truncated_normal import ChannelLikelihood, erfcx
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.statistics import Statistics
 
-LEVELS = np.linspace(0, 1, 8)
+LEVELS = levels_of(8)
 PARTS = oracle.even(42), oracle.mixed(14, 0.8)
 
 
@@ -462,7 +465,8 @@ def test_bad_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
 def test_grids_answer_the_same_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
     """All posteriors provide means, standard deviations, intervals and draws."""
     samples, _ = simulate(32, 8, 0.2)
-    posterior = svu.angular_posterior(statistics(samples), preset=switches(noise="relative"))
+    at_nodes = replace(statistics(samples), roughness=np.linspace(0, 1, 8))
+    posterior = svu.angular_posterior(at_nodes, preset=switches(noise="relative"))
     p = np.array(posterior.probabilities, np.float64)
     nodes = np.arange(8) / 7
     marginal = p[..., 0].sum(axis=(2, 3))
@@ -545,7 +549,7 @@ def test_levels_that_cannot_be_interpolated_are_refused(levels: list[float]) -> 
     samples, _ = simulate(8, 4, 0.1)
     table = samples.sums()[: len(levels)]
     source = Statistics.of(table, samples.w.sum(axis=1), np.full(8, 4), np.array(levels), 0.5)
-    with pytest.raises(ShapeError, match="evenly spaced levels from 0 to 1"):
+    with pytest.raises(ShapeError, match=r"at least 4 levels of roughness_levels"):
         calibrated_posterior(source)
 
 

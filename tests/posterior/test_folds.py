@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evaluation.test_traced_posterior import paint, sky
+from oracle.levels import levels as levels_of
 from support.helpers import render_ball
 
 import svu_mi as svu
@@ -187,7 +188,7 @@ def test_reliable_models_predict_as_well_as_means(values, reliable):
 def test_prediction_is_that_of_the_samples_themselves():
     """Two folds of two samples of one texel, at two levels; oracle: the samples one by one."""
     random = np.random.default_rng(4)
-    levels = np.linspace(0, 1, 4)
+    levels = levels_of(4)
     e, p, q, d, b, w = (random.random((6, 8, 3)) for _ in range(6))  # texel, sample, channel
     e, p, q, d = (np.repeat(x[None], 4, axis=0) * (1 + levels[:, None, None, None])
                   for x in (e, p, q, d))  # fmt: skip
@@ -209,7 +210,7 @@ def test_prediction_is_that_of_the_samples_themselves():
     groups = [np.ones(8), fold != 0, fold != 1]
     sums = np.concatenate([table(kept) for kept in groups], axis=-1)
     statistics = Statistics.of(sums, np.ones(18), np.full(18, 8), levels)
-    means = {"roughness": np.repeat(1 / 3, 18)[:, None], "metallic": random.random((18, 1)),
+    means = {"roughness": np.repeat(levels[1], 18)[:, None], "metallic": random.random((18, 1)),
              "base_color": random.random((18, 3))}  # fmt: skip
     found = predict(statistics, np.concatenate([moments(k) for k in groups], axis=1), means,
                     np.ones((2, 6), bool))  # fmt: skip

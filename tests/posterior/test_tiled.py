@@ -149,8 +149,8 @@ def test_kernel_of_few_texels_is_cached(vase, tiled, monkeypatch):
 
 
 def test_too_many_statistics_are_refused_before_gathering(vase, tiled, monkeypatch):
-    """Dr.Jit uses 32-bit indices: 16 million texels with 260 values in three channels."""
-    limit = 260 * 1000
+    """Dr.Jit uses 32-bit indices: 13 million texels with 324 values in three channels."""
+    limit = 324 * 1000
     monkeypatch.setattr(estimators, "_factors", None)
 
     def asked(*args, **options):

@@ -8,6 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracle.levels import levels
+from oracle.levels import place as place_of
 from support.helpers import as_tensor, as_values
 
 from svu_mi.core.arrays import to_drjit
@@ -24,7 +26,7 @@ LEVELS, TEXELS, VIEWS = 6, 7, 9
 def columns(seed: int = 48211) -> np.ndarray:
     """(R, C, 4, V, T) random columns e, p, q - d, d - b, smooth in roughness."""
     rng = np.random.default_rng(seed)
-    r = np.linspace(0, 1, LEVELS)[:, None, None, None, None]
+    r = levels(LEVELS)[:, None, None, None, None]
     a, b = rng.uniform(0.2, 1, (2, 3, 4, VIEWS, TEXELS))
     return a + b * r * np.array([0.3, -0.8, -0.1, 0.5])[None, None, :, None, None]
 
@@ -43,12 +45,12 @@ def factors_of(samples: np.ndarray) -> Factors:
     """``Factors`` of columns, by way of their sums."""
     table = np.stack([(samples[:, :, i] * samples[:, :, j]).sum(axis=2) for i, j in PAIRS], axis=2)
     views = np.full(TEXELS, VIEWS)
-    return Statistics.of(table, views, views, np.linspace(0, 1, LEVELS)).factor()
+    return Statistics.of(table, views, views, levels(LEVELS)).factor()
 
 
 def spline(entries: np.ndarray, roughness: np.ndarray) -> np.ndarray:
     """(C, 10, T): Catmull-Rom, the ends repeated; written as Hermite's cubic."""
-    place = np.clip(roughness, 0, 1) * (LEVELS - 1)
+    place = place_of(np.clip(roughness, 0, 1), LEVELS)
     first = np.minimum(np.floor(place), LEVELS - 2).astype(int)
     t = place - first
     at = [entries[np.clip(first + k, 0, LEVELS - 1), ..., np.arange(TEXELS)] for k in (-1, 0, 1, 2)]
@@ -81,7 +83,7 @@ def test_factors_are_those_of_a_qr_factorisation() -> None:
 
 def test_energy_is_the_mean_squared_error_at_a_level() -> None:
     samples, values = columns(), parameters()
-    values[3] = 3 / (LEVELS - 1)
+    values[3] = levels(LEVELS)[3]
     e, p, more, rest = np.moveaxis(samples[3], 1, 0)  # (C, V, T) each: q - d, and d - b
     m, c = values[4], values[:3, None]
     residual = c * ((1 - m) * e + m * p) + m * more + rest

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from oracle import angular as oracle
+from oracle.levels import place as place_of
 
 import svu_mi as svu
 from support.helpers import STUDIO, memory_capture, write_ball
@@ -101,8 +102,8 @@ class Samples:
             self.w *= kappa / np.maximum(self._off(current), SMALLEST * kappa)
 
     def _off(self, current):
-        """(V, S) mean absolute error of parameters (5, S), between equal levels."""
-        place = current[3] * (self.levels - 1)
+        """(V, S) mean absolute error of parameters (5, S), between levels."""
+        place = place_of(current[3], self.levels)
         share = np.maximum(1 - np.abs(place - np.arange(self.levels)[:, None]), 0)  # (R, S)
         r = oracle.modelled(self.columns, current[:3], current[4])  # (V, R, C, S)
         return np.abs((share[:, None] * r).sum(axis=1) - self.b).mean(axis=1)

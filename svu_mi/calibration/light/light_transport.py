@@ -26,6 +26,7 @@ from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 from svu_mi.reflection.mix_columns import diffuse_shading, dot
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
+from svu_mi.reflection.roughness_levels import roughness_levels
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics
 
@@ -225,7 +226,7 @@ class Transport:
 
 def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
     """Return the columns under light (N, 3) at the roughness levels of the statistics."""
-    return transport.columns(light, np.linspace(0, 1, switches.levels))
+    return transport.columns(light, roughness_levels(switches.levels))
 
 
 @dataclass(frozen=True)
@@ -265,7 +266,7 @@ class SampleMoments:
         statistics = Statistics.of(
             table.transpose(2, 3, 0, 1), samples.sum(samples.weight),
             np.bincount(samples.owner[samples.weight > 0], minlength=samples.texels),
-            np.linspace(0, 1, switches.levels), samples.kappa,
+            roughness_levels(switches.levels), samples.kappa,
         )  # fmt: skip
         return calibrated_posterior(statistics, scale=samples.unit, preset=switches)
 

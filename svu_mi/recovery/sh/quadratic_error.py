@@ -16,7 +16,8 @@ import mitsuba as mi
 from svu_mi.parameters import CHANNELS, MIXED
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import mixture, mixture_derivative
-from svu_mi.statistics.cholesky_factors import Factors, apply_factor, catmull_rom
+from svu_mi.reflection.roughness_levels import catmull_rom, level_place, level_slope
+from svu_mi.statistics.cholesky_factors import Factors, apply_factor
 from svu_mi.statistics.gather_statistics import Values, mixing_values
 
 
@@ -83,14 +84,15 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
 def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list[Any]]]:
     """Return U and dU / d roughness of every channel, interpolated from four levels."""
     last = dr.opaque(mi.Float, factors.levels - 1)
-    place = dr.clip(roughness, 0, 1) * last
+    roughness = dr.clip(roughness, 0, 1)
+    place, slope = level_place(roughness, last), level_slope(roughness, last)
     first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # last may be 0
     t = place - first
     slopes = [
-        0.5 * last * (-1 + t * (4 - 3 * t)),
-        0.5 * last * t * (-10 + 9 * t),
-        0.5 * last * (1 + t * (8 - 9 * t)),
-        0.5 * last * t * (3 * t - 2),
+        0.5 * slope * (-1 + t * (4 - 3 * t)),
+        0.5 * slope * t * (-10 + 9 * t),
+        0.5 * slope * (1 + t * (8 - 9 * t)),
+        0.5 * slope * t * (3 * t - 2),
     ]
     levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
     weights, reader = catmull_rom(t), factors.reader()
