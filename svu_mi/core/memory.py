@@ -73,13 +73,13 @@ COSTS = {
     "light": Cost(370e6, 20),
 }
 # Bytes per texel, by preset, and for power spectra, which have no preset.
-MODELS = {"default": 3600, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
+MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
 GRID = 100  # bytes per texel outside of all charts
 # These commands process more than TILE texels in tiles, except with power spectra. They then take
 # LAID_OUT bytes per texel on charts, and MODELS bytes per texel of two batches of AT_WORK texels.
 TILE = 2**18
 ABOUT = 1.1  # factor of TILE, because the chart coverage is an upper bound
-LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1800, "recover": 3100}
+LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2800}
 AT_WORK = 2**15  # texels per batch; their statistics take 65 MB, and a multiple at the peak
 STORED = 14  # bytes per pixel of photographs that can be moved to a file
 FLAGS = 4  # bytes per pixel of photographs in a file that stay in memory
