@@ -90,7 +90,8 @@ def check(
             gain = compare_gains(capture, small, axial)
     else:
         gain = _gain_finding(capture, small, gains)
-    findings = (*axial, gain, *_saturated(capture, small), *_ignored(capture))
+    over = () if _axes_are_off(axial) else _saturated(capture, small)
+    findings = (*axial, gain, *over, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
