@@ -20,7 +20,6 @@ SECONDS = 300  # for one cell; the whole takes some 15 s, most of it compiling k
 SHORT = """
 from dataclasses import replace
 from svu_mi.recovery.recovery_options import SH_PRESETS
-
 for name, options in SH_PRESETS.items():
     few = {part: replace(getattr(options, part), steps=10) for part in ("smoothing", "descent")}
     SH_PRESETS[name] = replace(options, **few)

@@ -31,7 +31,7 @@ def vase():
     capture = svu.render_capture(
         scenes.path("vase"), spp=32, views=24, resolution=(96, 96), defines={"light": "window"}
     )
-    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96))
+    return capture, svu.estimate_light(capture, svu.texels(capture.mesh, 96), FEW)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def painted(folder, light, **material):
     )
     texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(color.astype(np.float32))}
     bsdf = {"type": "principled", "base_color": texture, **material}
-    return render_ball(folder, light, bsdf, views=24, resolution=(96, 96), spp=64)
+    return render_ball(folder, light, bsdf, views=24, resolution=(96, 96), spp=16)
 
 
 def test_the_light_of_the_vase_is_found(vase):
@@ -83,20 +83,11 @@ def test_the_sun_is_brighter_and_not_the_paint_in_it():
     assert like.correlation > 0.8 and like.angle < 10  # .83; .75 without the prior
 
 
-def test_the_light_is_the_same_every_time(vase):
-    texels = svu.texels(vase[0].mesh, 96)
-    options = svu.LightOptions(texels=120, depths=((64, 2), (128, 2)), draws=3)
-    first, second = (svu.estimate_light(vase[0], texels, options) for _ in range(2))
-    for name in ("logarithm", "cell_sd", "draws", "scale_sd"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name), name)
-    assert (first.widening, first.misfit) == (second.widening, second.misfit)
-
-
 def test_a_turntable_is_recognised(vase):
     capture, still = vase
     assert not still.moves and still.misfit[0] < still.misfit[1]
-    table = turning(capture)
-    light = svu.estimate_light(table, svu.texels(table.mesh, 96), FEW)
+    table, options = turning(capture), svu.LightOptions(texels=250, depths=((256, 8),), draws=2)
+    light = svu.estimate_light(table, svu.texels(table.mesh, 96), options)
     like = compare_lights(light, capture.environment)  # rotated as in camera space
     assert light.moves and light.misfit[1] < 0.5 * light.misfit[0]
     assert like.correlation > 0.8

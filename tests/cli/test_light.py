@@ -100,6 +100,8 @@ def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, 
     assert names(tmp_path / "b") == FILES
     first, second = (svu.load_light(tmp_path / name) for name in "ab")  # deterministic
     np.testing.assert_allclose(second.radiance, 2 * first.radiance, rtol=1e-5)
+    np.testing.assert_array_equal(second.cell_sd, first.cell_sd)
+    assert (second.widening, second.misfit) == (first.widening, first.misfit)
 
 
 @pytest.mark.parametrize(

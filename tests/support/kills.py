@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,8 +71,8 @@ def svu(*words: object, wait: bool = True, **environment: str) -> subprocess.Pop
     return process
 
 
-def prepare(at: Path) -> None:
-    """Make two captures of different objects under different light."""
+def prepare(at: Path, commands: Collection[str] = COMMANDS) -> None:
+    """Make two captures of different objects under different light, as the commands need them."""
     for which, light in (("a", 1.0), ("b", 0.5)):
         folder = at / which
         foreign = foreign_source(folder)
@@ -80,9 +80,10 @@ def prepare(at: Path) -> None:
         write_exr(folder / "light.exr", {"RGB": np.full((8, 16, 3), light)})
         write_scene(folder, positions=ball().positions * (1.5 if which == "b" else 1.0))
         svu("render", folder / "scene.xml", "-o", folder / "shelf" / "shot", "--spp", 2)
-        around = ("-D", f"light={'window' if which == 'a' else 'studio'}", "--views", 24)
-        svu("render", scenes.path("vase"), *around, "--resolution", 48, "--spp", 4,
-            "-o", folder / "around")  # fmt: skip
+        if "light" in commands:
+            around = ("-D", f"light={'window' if which == 'a' else 'studio'}", "--views", 24)
+            svu("render", scenes.path("vase"), *around, "--resolution", 48, "--spp", 4,
+                "-o", folder / "around")  # fmt: skip
     (at / "without" / "exchange").mkdir(parents=True)
     (at / "without" / "exchange" / "sitecustomize.py").write_text(NO_EXCHANGE)
 
