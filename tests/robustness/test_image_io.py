@@ -200,6 +200,11 @@ def test_few_negative_pixels_of_light_become_0_with_warning(tmp_path):
     assert pixels.min() == 0 and notes[0].endswith("sky.exr: 3 negative pixels were set to 0.")
 
 
+def test_black_pixels_of_light_are_not_negative(tmp_path):
+    write_exr(tmp_path / "sky.exr", {"RGB": dented(0.0, 3)})
+    assert not read_environment_map(Light(path=tmp_path / "sky.exr", to_world=np.eye(3)))[2]
+
+
 def test_much_negative_light_is_refused(tmp_path):
     write_exr(tmp_path / "sky.exr", {"RGB": dented(-40.0, 20)})
     with pytest.raises(SceneError, match="sky.exr.*pixels are negative and cancel more than 1% of"):
