@@ -52,7 +52,7 @@ def _variant_is_set() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _light_is_filtered_once() -> None:
-    """The same light comes again in many tests; to filter it takes NumPy 0.3 s, to split it 0.1 s.
+    """The same light comes again in many tests; to filter it takes NumPy 0.3 s, to split it 0.04 s.
 
     What is kept is what these functions have returned for exactly these arguments.
     """
