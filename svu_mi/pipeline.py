@@ -33,6 +33,7 @@ from svu_mi.posterior.estimators import (
     tiled_posterior,
     view_counts,
     with_folds,
+    with_metal_share,
 )
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
@@ -146,9 +147,11 @@ def _from_statistics(
     observed, progress = inputs.observed, inputs.progress
     # Unseen texels count, too: the memory estimate is printed before visibility is traced.
     if observed.texels.count > TILE:
+        switches = with_metal_share(inputs, switches)
         inputs = with_folds(inputs, switches)
         return tiled_posterior(inputs, switches), inputs.test.prediction
     factors = gather_factors(inputs, switches)
+    switches = with_metal_share(inputs, switches, factors)
     inputs = with_folds(inputs, switches)
     with progress.stage("Computing entropy"):
         posterior = statistics_posterior(inputs, switches, factors)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from math import inf
+from numbers import Real
 from typing import Any, Literal, overload
 
 from svu_mi.core.validation import require, require_ranges, require_types
@@ -242,6 +243,15 @@ class AngularPreset(_Channels):
     metals: float = 0.8
     """Prior probability that metallic is exactly 0 or 1 (calibrated)."""
 
+    metal_share: float | None = None
+    """Prior probability that metallic is 1 where it is 0 or 1. None: learned from the object by
+    ``estimate``, between 0.12 and 0.88; otherwise 0.5 (calibrated)."""
+
+    bare_metals: float = 0.5
+    """Prior probability that a channel of a metal's base colour is that of bare metals, about 0.4
+    to 1; other metals have any colour but black. 0: the prior of base colour is uniform for metals,
+    too (calibrated)."""
+
     levels: int = 10
     """Number of roughness levels of the statistics, which are interpolated in between (calibrated;
     otherwise statistics are gathered at the grid's nodes)."""
@@ -254,13 +264,16 @@ class AngularPreset(_Channels):
         require_ranges(
             self, sigma=(1e-12, 1e12), assumed=(1e-12, 1e12), overdispersion=(1, 1e6),
             degrees=(1e-6, 1e6), knee=(1e-6, 1e6), edges=(0, 1e6), metals=(0, 0.99),
-            levels=(4, 64), parts=(2, 512), folds=(0, 60),
+            bare_metals=(0, 0.99), levels=(4, 64), parts=(2, 512), folds=(0, 60),
         )  # fmt: skip
         if self.noise == "estimated" and self.parameters != "principled":
             raise OptionError(
                 "AngularPreset: noise='estimated' requires parameters='principled'; for "
                 "parameters='specular', use noise='relative'."
             )
+        share = 0.5 if self.metal_share is None else self.metal_share
+        known = isinstance(share, Real) and 0.001 <= share <= 0.999
+        require(self, known, "metal_share", "in [0.001, 0.999], or None to learn it")
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
         if self.fit is not None:
@@ -341,7 +354,9 @@ PRESETS: dict[str, Preset] = {
 ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
     "fixed": AngularPreset(name="fixed", channels="grey", noise="relative"),
-    "fast": AngularPreset(name="fast", channels="grey", cells=0, parts=14, folds=0),
+    "fast": AngularPreset(
+        name="fast", channels="grey", cells=0, parts=14, folds=0, bare_metals=0.0, metal_share=0.5
+    ),
     # The paper gives no sigma. 0.4 for a sum over 25 views equals 0.08 for their mean; about 25 of
     # 60 cameras on a sphere see a texel.
     "paper": AngularPreset(

@@ -29,6 +29,7 @@ from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
+from svu_mi.posterior.metal_colors import color_density
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import (
@@ -395,7 +396,10 @@ def problem_of(
     require_scale("calibrated_posterior()", scale)
     r = uniform_axis(grid.roughness_nodes, switches.parts)
     mixed = ProductAxis(tuple(
-        mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].has_atoms)
+        mixed_axis(
+            grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].has_atoms,
+            0.5 if switches.metal_share is None else switches.metal_share,
+        )
         for name in MIXED
     ))  # fmt: skip
     edges = bin_edges(grid.base_color_nodes)
@@ -403,6 +407,9 @@ def problem_of(
     given = None
     if tables is None:
         rows = -np.log(np.outer(r.of_bins(), mixed.of_bins()).ravel())
+        colors = _color_densities(grid, edges, switches.bare_metals)
+        if colors is not None:
+            given = to_drjit(mi.Float, np.tile(colors, (r.bins, 1)).ravel())
     else:
         rows = tables[0]
         width = bin_widths(edges)
@@ -411,6 +418,14 @@ def problem_of(
         r = r.subset(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
     return CalibratedProblem(factors, copies, r, mixed, edges, rows, given, empty, empty)
+
+
+def _color_densities(grid: PrincipledGrid, edges: np.ndarray, bare: float) -> np.ndarray | None:
+    """Return the density of K base colour bins in each mixing bin, (M, K); None if uniform."""
+    metallic = np.meshgrid(*grid.mixed_nodes, indexing="ij")[MIXED.index("metallic")].ravel()
+    if edges[0] == edges[-1] or bare * metallic.max() == 0:
+        return None
+    return color_density(edges, metallic, bare)
 
 
 def fit(
@@ -433,7 +448,7 @@ def fit(
         problem, scale=to_drjit(mi.Float, np.sqrt(energy_scale) / scale),
         min_energy=to_drjit(mi.Float, energy_scale * rest),
     )  # fmt: skip
-    if problem.color_prior is not None:  # the best node may have a small prior
+    if problem.has_small_prior:  # at the best node, perhaps
         above = kernel.min_energy(problem, excess=True)
         problem = replace(problem, min_energy=problem.min_energy + above)
         dr.eval(problem.min_energy)

@@ -17,6 +17,7 @@ from svu_mi.posterior.truncated_normal import FULL_SUPPORT
 from svu_mi.reflection.roughness_levels import spline_weights
 from svu_mi.statistics.cholesky_factors import Factors
 
+SMALL = 0.05  # density of base colour below which energies need a new reference
 NEVER = 1e30  # stands for -log 0
 
 
@@ -66,6 +67,11 @@ class CalibratedProblem:
             return 0.0
         most = float(dr.max(self.color_prior)[0])
         return self.copies * self.factors.channels * float(np.log(max(most, 1.0)))
+
+    @cached_property
+    def has_small_prior(self) -> bool:
+        """True if the colour prior changes energies by more than some nats."""
+        return self.color_prior is not None and float(dr.min(self.color_prior)[0]) < SMALL
 
     @cached_property
     def has_full_support(self) -> bool:

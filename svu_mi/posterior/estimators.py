@@ -27,12 +27,15 @@ from svu_mi.posterior.folds import ENOUGH, SAMPLE, compared, folds_of, spread_fa
 from svu_mi.posterior.kept_results import (
     pack_factors,
     pack_fit,
+    pack_share,
     pack_test,
     restore_factors,
     restore_fit,
+    restore_share,
     restore_test,
 )
 from svu_mi.posterior.kernel import observed_by
+from svu_mi.posterior.metal_share import METAL_SAMPLE, learned_metal_share
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest, predict
@@ -118,6 +121,34 @@ def _posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[
 def _widened(posterior: Posterior, inputs: EstimatorInputs) -> Posterior:
     """Return the posterior with the factors of standard deviations of the test by folds."""
     return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
+
+
+def with_metal_share(
+    inputs: EstimatorInputs, switches: AngularPreset, factors: Factors | None = None
+) -> AngularPreset:
+    """Return options with the share of metals on the object (``metal_share``).
+
+    ``factors`` are the statistics of all seen texels; default: they are gathered for a sample.
+    """
+    given = inputs.prior is not None or switches.metal_share is not None
+    if given or switches.noise != "estimated" or len(inputs.grid.axes["metallic"]) == 1:
+        return switches
+    seen = inputs.observed
+    texels = np.flatnonzero(view_counts(seen, switches)) if factors is None else factors.texel
+
+    def learn() -> float:
+        chosen = evenly_spaced(len(texels), METAL_SAMPLE)
+        part = seen.subset(np.asarray(texels)[chosen])
+        sample = factors.subset(chosen) if factors else _factors(inputs, part, switches, None)
+        return learned_metal_share(
+            sample, inputs.grid, seen.unit, switches, copies=inputs.plan.copies,
+            rounding=_rounding(part, switches),
+        )  # fmt: skip
+
+    share = seen.cache.recall(
+        "metals", _posterior_inputs(inputs, switches), learn, pack_share, restore_share
+    )
+    return replace(switches, metal_share=share)
 
 
 def with_folds(inputs: EstimatorInputs, switches: AngularPreset) -> EstimatorInputs:

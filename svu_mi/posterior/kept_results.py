@@ -163,3 +163,14 @@ def _words(numbers: int, lanes: int) -> Field:
 
 def _bits(words: np.ndarray, numbers: int, lanes: int) -> Bits:
     return replace(Bits.clear(numbers, lanes), words=to_drjit(mi.UInt32, words))
+
+
+def pack_share(share: float) -> Arrays:
+    """Return the arrays of the share of metals (``metal_share``)."""
+    return {"share": np.array([share])}
+
+
+def restore_share(arrays: Arrays) -> float:
+    """Return the share of metals."""
+    checked(arrays, {"share": Field("f8", (1,), 0, 1)}, closed=True)
+    return float(arrays["share"][0])

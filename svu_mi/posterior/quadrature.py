@@ -143,16 +143,21 @@ def uniform_axis(nodes: np.ndarray, parts: int) -> QuadratureAxis:
     return QuadratureAxis(edges[:-1], edges[1:], bin_index, np.full(count, 1 / count), len(nodes))
 
 
-def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> QuadratureAxis:
-    """Divide bins as ``uniform_axis``; add point masses at 0 and 1 with sum ``extremes``."""
+def mixed_axis(
+    nodes: np.ndarray, parts: int, extremes: float, upper: float = 0.5
+) -> QuadratureAxis:
+    """Divide bins as ``uniform_axis``; add point masses at 0 and 1 with sum ``extremes``.
+
+    ``upper`` is the share of the point mass at 1.
+    """
     between = uniform_axis(nodes, parts)
     if len(nodes) == 1 or extremes == 0:
         return between
-    ends = extremes / 2
+    below, above = extremes * (1 - upper), extremes * upper
     return QuadratureAxis(
         np.concatenate([[0.0], between.low, [1.0]]),
         np.concatenate([[0.0], between.high, [1.0]]),
         np.concatenate([[0], between.bin, [between.bin[-1]]]),
-        np.concatenate([[ends], (1 - extremes) * between.mass, [ends]]),
+        np.concatenate([[below], (1 - extremes) * between.mass, [above]]),
         len(nodes),
     )

@@ -86,7 +86,7 @@ class ChannelLikelihood:
         # With x = (y - mu) s, exp(-(E - min_energy)) = exp(x_0^2 - x^2); x_0 is the best colour.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
         ends = dr.if_stmt(
-            args=(self.mu, self.s), cond=(self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW),
+            args=(self.mu, self.s), cond=self._is_hard,
             true_fn=lambda mu, s: replace(self, mu=mu, s=s)._whole(mi.Float64),
             false_fn=lambda mu, s: replace(self, mu=mu, s=s)._whole(mi.Float),
         )  # fmt: skip
@@ -95,6 +95,11 @@ class ChannelLikelihood:
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
         mass = 0.5 * sqrt(pi) * whole / self.s
         return self._integrals(mass, parts, mean, variance)
+
+    @property
+    def _is_hard(self) -> Any:
+        """Bool, True if moments need double precision."""
+        return (self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW)
 
     def _whole(self, kind: Any) -> tuple[Any, ...]:
         """Return the tails above y = 0 and y = 1, their difference, and mean and variance of y."""
@@ -115,33 +120,52 @@ class ChannelLikelihood:
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:
         """Integrate as ``integrate_with_prior``, 5 x faster, for priors above FULL_SUPPORT."""
-        first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
-        beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
-        density = [first.density, *(mi.Float64(t.density) for t in inner), last.density]
-        g = [mi.Float64(weight) for weight in self._turned(prior)]
-        s, mu = mi.Float64(self.s), mi.Float64(self.mu)
-        masses, offset, around = [], mi.Float64(0), mi.Float64(0)
-        for k, weight in enumerate(g):
+        around = [(tail.beyond, tail.density) for tail in inner]
+        log_mass, parts, mean, variance = dr.if_stmt(
+            args=(self.mu, self.s, around, list(self._turned(prior))), cond=self._is_hard,
+            true_fn=lambda mu, s, *rest: replace(self, mu=mu, s=s)._weighted(
+                mi.Float64, edges, *rest
+            ),
+            false_fn=lambda mu, s, *rest: replace(self, mu=mu, s=s)._weighted(
+                mi.Float, edges, *rest
+            ),
+        )  # fmt: skip
+        return log_mass, self._integrals(mi.Float(1), parts, mean, variance)
+
+    def _weighted(
+        self, kind: Any, edges: list[float], inner: list[tuple[Any, Any]], prior: list[Any]
+    ) -> tuple[Any, ...]:
+        """Return log mass, bin fractions, mean and variance of y for a prior of the bins of y.
+
+        ``inner`` are tails and densities at the inner edges.
+        """
+        first, last = self._tail(kind(0)), self._tail(kind(1))
+        beyond = [first.beyond, *(kind(tail) for tail, _ in inner), last.beyond]
+        density = [first.density, *(kind(x) for _, x in inner), last.density]
+        s, mu = kind(self.s), kind(self.mu)
+        masses, offset, around = [], kind(0), kind(0)
+        for k, g in enumerate(prior):
+            weight = kind(g)
             # Rounding can make the difference of two tails negative.
             masses.append(weight * dr.maximum(beyond[k] - beyond[k + 1], 0))
             offset = dr.fma(weight, density[k] - density[k + 1], offset)
             low, high = (edges[k + end] - mu for end in (0, 1))
             around = dr.fma(weight, low * density[k] - high * density[k + 1], around)
-        total = dr.maximum(sum(masses), TINIEST)
+        total = dr.maximum(sum(masses), TINIEST if kind is mi.Float64 else 1e-30)
         scale = dr.rcp(sqrt(pi) * s * total)
         mean = dr.clip(mu + scale * offset, 0, 1)
         variance = dr.maximum(0.5 / dr.square(s) + scale * around - dr.square(scale * offset), 0)
-        # Variance of a uniform density within bins, for small s.
-        ends = list(zip(edges[:-1], edges[1:], strict=True))
-        even = sum(
-            mass / total * (dr.square(0.5 * (a + b) - mean) + (b - a) ** 2 / 12)
-            for mass, (a, b) in zip(masses, ends, strict=True)
-        )
+        if kind is mi.Float64:
+            # Variance of a uniform density within bins, for small s.
+            ends = list(zip(edges[:-1], edges[1:], strict=True))
+            even = sum(
+                mass / total * (dr.square(0.5 * (a + b) - mean) + (b - a) ** 2 / 12)
+                for mass, (a, b) in zip(masses, ends, strict=True)
+            )
+            variance = dr.select(self.s < DIM, even, variance)
         log_mass = mi.Float(dr.log(0.5 * sqrt(pi) * total / s))
-        parts = [mi.Float(mass / total) for mass in masses]
-        variance = dr.select(s < DIM, even, variance)
-        return log_mass, self._integrals(mi.Float(1), parts, mean, variance)
+        return log_mass, [mi.Float(x / total) for x in masses], mi.Float(mean), mi.Float(variance)
 
     def integrate_with_prior(
         self, edges: list[float], prior: list[Any]
