@@ -65,6 +65,7 @@ def test_a_value_of_every_parameter_is_frozen_and_can_be_shown():
 # other programs' own names for some of the parameters, and what maps other people's models make.
 NAMED = {
     "parameters.py", "reflection/principled.py", "posterior/grid.py",
+    "posterior/metal_colors.py", "posterior/metal_share.py",
     "evaluation/squared_errors.py", "recovery/recovery_options.py",
     "capture/importers/mesh_materials.py", "output/export/asset_images.py",
     "output/export/asset_scenes.py", "recovery/inpaint/diffusion/model_interface.py",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.helpers import render_ball
@@ -28,7 +30,7 @@ def seen(tmp_path_factory):
 @pytest.mark.few(4)
 @pytest.mark.parametrize(("method", "name"), NAMES)
 def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
-    """What reaches the model, the fit and the posterior is the preset itself."""
+    """What reaches the model, the fit and the posterior is the preset, with a learned share."""
     used = []
     for module, kind in (
         (estimators, "angular_posterior"), (estimators, "calibrated_posterior"),
@@ -43,7 +45,8 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
         monkeypatch.setattr(module, kind, watch)
     estimate = svu.estimate(seen, method=method, preset=name)
     assert estimate.preset == preset(name, method=method)
-    assert used and all(one == estimate.preset for one in used)
+    learned = {"metal_share": None} if getattr(estimate.preset, "metal_share", 0) is None else {}
+    assert used and all(replace(one, **learned) == estimate.preset for one in used)
     entropy = np.array(estimate.entropy)
     assert np.isfinite(entropy).all()
 
@@ -73,7 +76,16 @@ def test_numbers_of_cells_out_of_range_are_refused(cells):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"errors": "median"}, {"cells": 256.5}, {"off_specular": 1}, {"knee": "all"}]
+    "wrong",
+    [
+        {"errors": "median"},
+        {"cells": 256.5},
+        {"off_specular": 1},
+        {"knee": "all"},
+        {"metal_share": "0.5"},
+        {"metal_share": 1.0},
+        {"metal_share": float("nan")},
+    ],
 )
 def test_types_of_switches_are_checked(wrong):
     with pytest.raises(OptionError, match=f"{next(iter(wrong))} must be"):

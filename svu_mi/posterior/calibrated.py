@@ -29,7 +29,7 @@ from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
-from svu_mi.posterior.metal_colors import color_density
+from svu_mi.posterior.metal_colors import color_densities
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import (
@@ -407,7 +407,7 @@ def problem_of(
     given = None
     if tables is None:
         rows = -np.log(np.outer(r.of_bins(), mixed.of_bins()).ravel())
-        colors = _color_densities(grid, edges, switches.bare_metals)
+        colors = color_densities(grid, edges, switches.bare_metals)
         if colors is not None:
             given = to_drjit(mi.Float, np.tile(colors, (r.bins, 1)).ravel())
     else:
@@ -418,14 +418,6 @@ def problem_of(
         r = r.subset(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
     return CalibratedProblem(factors, copies, r, mixed, edges, rows, given, empty, empty)
-
-
-def _color_densities(grid: PrincipledGrid, edges: np.ndarray, bare: float) -> np.ndarray | None:
-    """Return the density of K base colour bins in each mixing bin, (M, K); None if uniform."""
-    metallic = np.meshgrid(*grid.mixed_nodes, indexing="ij")[MIXED.index("metallic")].ravel()
-    if edges[0] == edges[-1] or bare * metallic.max() == 0:
-        return None
-    return color_density(edges, metallic, bare)
 
 
 def fit(

@@ -35,7 +35,7 @@ from svu_mi.posterior.kept_results import (
     restore_test,
 )
 from svu_mi.posterior.kernel import observed_by
-from svu_mi.posterior.metal_share import METAL_SAMPLE, learned_metal_share
+from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_metal_share
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest, predict
@@ -131,7 +131,7 @@ def with_metal_share(
     ``factors`` are the statistics of all seen texels; default: they are gathered for a sample.
     """
     given = inputs.prior is not None or switches.metal_share is not None
-    if given or switches.noise != "estimated" or len(inputs.grid.axes["metallic"]) == 1:
+    if given or switches.noise != "estimated" or knows_metals(inputs.grid):
         return switches
     seen = inputs.observed
     texels = np.flatnonzero(view_counts(seen, switches)) if factors is None else factors.texel
@@ -139,7 +139,7 @@ def with_metal_share(
     def learn() -> float:
         chosen = evenly_spaced(len(texels), METAL_SAMPLE)
         part = seen.subset(np.asarray(texels)[chosen])
-        sample = factors.subset(chosen) if factors else _factors(inputs, part, switches, None)
+        sample = factors.subset(chosen) if factors else _statistics(inputs, part, switches).factor()
         return learned_metal_share(
             sample, inputs.grid, seen.unit, switches, copies=inputs.plan.copies,
             rounding=_rounding(part, switches),

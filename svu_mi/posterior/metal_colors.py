@@ -13,6 +13,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import betainc
 
+from svu_mi.parameters import MIXED
+from svu_mi.posterior.grid import PrincipledGrid
+
 # Reflectance at normal incidence, linear sRGB [Lagarde 2011, Feeding a physically based shading
 # model]: silver, aluminium, gold, copper, chromium, iron, nickel, titanium, cobalt, platinum.
 BARE = np.array([
@@ -37,3 +40,10 @@ def color_density(edges: np.ndarray, metallic: np.ndarray, bare: float) -> np.nd
     metal = np.maximum(np.diff(metal_cdf(edges, bare)) / np.diff(edges), LEAST)
     metal /= metal @ np.diff(edges)
     return 1 + metallic[:, None] * (metal - 1)
+
+
+def color_densities(grid: PrincipledGrid, edges: np.ndarray, bare: float) -> np.ndarray | None:
+    """Return ``color_density`` for each bin of the mixing parameters; None if it is uniform."""
+    metallic = np.meshgrid(*grid.mixed_nodes, indexing="ij")[MIXED.index("metallic")].ravel()
+    uniform = edges[0] == edges[-1] or bare * metallic.max() == 0
+    return None if uniform else color_density(edges, metallic, bare)

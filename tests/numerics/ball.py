@@ -60,7 +60,7 @@ class Ball:
 
     Attributes:
         light: dictionary of the emitter, already turned as ``to_world`` turns.
-        paint: scalar parameters of Mitsuba's ``principled``.
+        paint: parameters of Mitsuba's ``principled``; base colour is a number or three.
         directions: (V, 3) from the ball's centre to its cameras.
         mesh: of the ball, before ``to_world``.
         to_world: (4, 4) similarity.
@@ -68,7 +68,7 @@ class Ball:
     """
 
     light: dict[str, Any]
-    paint: dict[str, float]
+    paint: dict[str, Any]
     directions: np.ndarray
     mesh: MeshArrays
     to_world: np.ndarray
@@ -96,7 +96,7 @@ class Ball:
             None if self.mesh.normals is None else self.mesh.normals @ unit.T, self.mesh.uvs,
         )  # fmt: skip
         make_mesh("ball", moved).write_ply(str(path))
-        color = {"type": "rgb", "value": [self.paint["base_color"]] * 3}
+        color = {"type": "rgb", "value": np.resize(self.paint["base_color"], 3).tolist()}
         bsdf = {"type": "principled", **self.paint, "base_color": color}
         return mi.load_dict(
             {"type": "scene", "integrator": {"type": "direct"}, "light": self.light,

@@ -20,7 +20,7 @@ TEXELS = 4
 SCALE = 0.7
 GRID = PrincipledGrid(8, 8, 8)
 FIXED = preset("fixed", method="angular")
-ESTIMATED = preset("default", method="angular")
+ESTIMATED = preset("default", method="angular", bare_metals=0.0)
 
 Samples = tuple[np.ndarray, ...]
 """w (T, V), b (T, C, V), and e, p, q, d (T, R, C, V)."""

@@ -30,7 +30,9 @@ RULES = {
     for kind, grid in (("principled", GRID), ("specular", KS))
     for channels in ("grey", "joint") for noise in ("relative", "fixed")
 } | {
-    f"{channels}, estimated": (preset("default", method="angular", channels=channels), GRID)
+    f"{channels}, estimated": (
+        preset("default", method="angular", channels=channels, bare_metals=0.0), GRID
+    )
     for channels in ("grey", "joint")
 }  # fmt: skip
 ALL = pytest.mark.parametrize("rule", RULES)

@@ -92,8 +92,12 @@ def switches(**changed: object) -> svu.AngularPreset:
 def setting() -> tuple[svu.Posterior, oracle.Truth]:
     samples, _ = simulate(96, 12, 0.05)
     weight, views = samples.w.sum(axis=1), np.full(96, 12)
-    truth = oracle.posterior(samples.sums(), weight, views, tau=3.5, nu=4, r=PARTS[0], m=PARTS[1])
-    return calibrated_posterior(statistics(samples)), truth
+    parts = PARTS[0], oracle.mixed(14, 0.8, share=0.3)
+    truth = oracle.posterior(
+        samples.sums(), weight, views, tau=3.5, nu=4, r=parts[0], m=parts[1],
+        prior=oracle.bright_metals(*parts),
+    )  # fmt: skip
+    return calibrated_posterior(statistics(samples), preset=switches(metal_share=0.3)), truth
 
 
 def test_energies_match_the_samples() -> None:
@@ -339,7 +343,7 @@ def test_a_prior_of_cells_is_bayes() -> None:
 def test_shared_prior_matches_expectation_maximisation() -> None:
     """Compare with the prior that the oracle learns from the same texels."""
     samples, _ = simulate(100, 12, 0.2)
-    alone = calibrated_posterior(statistics(samples))
+    alone = calibrated_posterior(statistics(samples), preset=switches(bare_metals=0.0))
     options = {"tau": 3.5, "nu": 4, "r": PARTS[0], "m": PARTS[1]}
     given = samples.sums(), samples.w.sum(axis=1), np.full(100, 12)
     prior = oracle.common_prior(

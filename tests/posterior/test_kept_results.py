@@ -27,7 +27,7 @@ from svu_mi.presets import Skip
 
 MAPS = [f"{name}_{what}" for name in ("roughness", "metallic", "base_color")
         for what in ("mean", "sd", "low", "high")]  # fmt: skip
-ALL = {"visibility", "statistics", "folds", "posterior"}
+ALL = {"visibility", "statistics", "metals", "folds", "posterior"}
 
 
 def estimate(capture: Capture, folder: Path | None, texels: Any, **options: Any) -> Estimate:

@@ -47,7 +47,7 @@ def check_posterior() -> None:
     table = np.stack([(x[i] * x[j]).sum(axis=0) for i, j in PAIRS])[None, None]
     views = np.full(TEXELS, VIEWS)
     grid = svu.PrincipledGrid(metallic=3, base_color=3, specular=3, known={"roughness": 0.5})
-    switches = svu.preset("default", method="angular")
+    switches = svu.preset("default", method="angular", bare_metals=0.0)
     posterior = calibrated_posterior(
         Statistics.of(table, views, views, np.array([0.5])), grid, preset=switches
     )

@@ -75,7 +75,7 @@ def estimate_light(
         (64, (129, 256, 3))
     """
     options, progress = options or LightOptions(), progress or Progress()
-    switches: AngularPreset = find_preset("default", method="angular")
+    switches: AngularPreset = find_preset("default", method="angular", bare_metals=0.0)
     observed = observations_of(source, texels, progress)
     with progress.stage("Choosing texels"):
         samples = TexelSamples.of(observed, switches, options.texels)
