@@ -72,11 +72,11 @@ def estimate_gains(
         (12, 3)
     """
     options, progress = options or LightOptions(), progress or Progress()
-    switches: AngularPreset = find_preset("default", method="angular")
+    switches: AngularPreset = find_preset("default", method="angular", bare_metals=0.0)
     observed = observations_of(source, texels, progress)
     require_light(observed.capture)
     with progress.stage("Choosing texels"):
-        samples = TexelSamples.of(observed, switches, options.texels)
+        samples = TexelSamples.of(observed, switches, options.texels, options.known)
     with progress.stage("Estimating gains", ROUNDS) as stage:
         light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)

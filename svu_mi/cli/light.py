@@ -54,6 +54,7 @@ class FindLight(CaptureCommand, ResultCommand):
     """The light moves with the camera: turntable or flash (default: both cases are tested)."""
     light_fixed: Switch = False
     """The light is fixed: only the camera moved (default: both cases are tested)."""
+    known: opt.Known = ()
     background: Literal["none", "distant"] = "none"
     """distant: pixels outside the object show the light; wrong in a light tent or near walls."""
     light_scale: float | None = None
@@ -93,9 +94,13 @@ class FindLight(CaptureCommand, ResultCommand):
     def _options(self) -> LightOptions:
         """Return the options of the estimate of the light."""
         moves = self.light_moves if self.light_moves or self.light_fixed else None
+        known = opt.parse_known(self.known) or {}
+        if known == "scene":
+            raise OptionError("--known of svu light takes metallic=VALUE.")
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
-            background=self.background, gains=bool(self.capture.photographs.estimates_gains),
+            background=self.background, known=known,
+            gains=bool(self.capture.photographs.estimates_gains),
         )  # fmt: skip
 
     def work(self, progress: Progress, place: Claim) -> list[str]:

@@ -167,11 +167,11 @@ def fit_of(samples: TexelSamples, x: np.ndarray) -> LightFit:
 class Joint:
     """Normal equations of light and materials in double precision, without elimination."""
 
-    def __init__(self, samples, x, materials, w):
+    def __init__(self, samples, x, materials, w, mixed=MATERIAL_SD[1]):
         self.samples, self.x, self.materials, self.w = samples, x, materials, w
         self.texels, self.number = samples.texels, len(x)
         self.precision = prior_of(self.number).precision()
-        self.freedom = np.tile(1 / np.square([*MATERIAL_SD, *[COLOR_SD] * 3]), self.texels)
+        self.freedom = np.tile(1 / np.square([MATERIAL_SD[0], mixed, *[COLOR_SD] * 3]), self.texels)
 
     def moved(self, k: int, by: np.ndarray) -> Materials:
         """Return materials with a different parameter k of five."""
@@ -220,8 +220,11 @@ class Joint:
         return H, g
 
 
-def test_elimination_equals_full_normal_equations():
+@pytest.mark.parametrize("known", [{}, {"metallic": 0.25}])
+def test_elimination_equals_full_normal_equations(known):
+    """A known parameter is no unknown of the elimination."""
     samples, truth = photographed(8, 6, 64, noise=0.05)
+    samples = replace(samples, grid=svu.PrincipledGrid(known=known))
     x = truth + 0.3 * np.random.default_rng(2).normal(size=truth.shape)
     transport = Transport.of(samples, 64)
     columns = SampleMoments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
@@ -229,7 +232,9 @@ def test_elimination_equals_full_normal_equations():
     tau = SWITCHES.overdispersion
     columns = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
-    joint = Joint(samples, x, materials_of(with_empirical_prior(posterior)), w)
+    materials = materials_of(with_empirical_prior(posterior))
+    assert not known or np.all(materials.mixed == 0.25)
+    joint = Joint(samples, x, materials, w, 1e-4 if known else MATERIAL_SD[1])
     H, g = joint.normal()
     n = 3 * 64
     taken = np.linalg.solve(H[n:, n:], np.column_stack([H[n:, :n], g[n:]]))
@@ -424,6 +429,8 @@ def test_the_background_helps(outdoors):
         ({"depths": ((63, 3),)}, r"depths must be \(cells, rounds\), ascending, of 64 "),
         ({"depths": ((64, 0),)}, "depths must be "),
         ({"depths": (64, 3)}, "depths must be "),
+        ({"known": {"roughness": 0.2}}, r"known must be a value in \[0, 1\] of metallic only"),
+        ({"known": {"metallic": 1.5}}, "known must be a value"),
         ({"depths": ((64.5, 3),)}, "depths must be "),
     ],
 )

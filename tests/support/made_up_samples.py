@@ -13,6 +13,7 @@ from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import Materials, Transport
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.presets import preset
 
 SWITCHES = preset("default", method="angular")
@@ -33,7 +34,7 @@ def free_samples(normals: np.ndarray, directions: np.ndarray) -> TexelSamples:
         cosine=(direction * normals[owner]).sum(axis=1).astype(np.float32),
         radiance=np.zeros((texels * views, 3), np.float32), weight=np.ones(texels * views),
         contrast=np.zeros(texels * views, np.float32), unit=1.0, kappa=np.inf, edges=0.0,
-        cameras=np.broadcast_to(np.eye(3), (views, 3, 3)),
+        cameras=np.broadcast_to(np.eye(3), (views, 3, 3)), grid=PrincipledGrid(),
     )  # fmt: skip
 
 

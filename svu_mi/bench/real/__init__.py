@@ -144,7 +144,9 @@ class HoldoutCase:
     def samples(self) -> TexelSamples:
         """Samples of the predicted texels in all photographs, not divided by gains."""
         everything = observe(self.capture, self.layout, self.bench.progress)
-        return TexelSamples.of(everything, find_preset("default", method="angular"), self._size[1])
+        return TexelSamples.of(
+            everything, find_preset("default", method="angular"), self._size[1], {}
+        )
 
     @cached_property
     def texels(self) -> np.ndarray:

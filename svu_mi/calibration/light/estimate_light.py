@@ -78,7 +78,7 @@ def estimate_light(
     switches: AngularPreset = find_preset("default", method="angular", bare_metals=0.0)
     observed = observations_of(source, texels, progress)
     with progress.stage("Choosing texels"):
-        samples = TexelSamples.of(observed, switches, options.texels)
+        samples = TexelSamples.of(observed, switches, options.texels, options.known)
     problems = {}
     for moves in (False, True) if options.moves is None else (options.moves,):
         is_seen = options.background == "distant"

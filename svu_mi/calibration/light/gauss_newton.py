@@ -15,6 +15,7 @@ from svu_mi.calibration.light.light_prior import LightPrior, SeenCells
 from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import Materials, Transport, materials_of
 from svu_mi.errors import CaptureError
+from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.posterior import Posterior
@@ -23,6 +24,7 @@ from svu_mi.reflection.principled import mixture_derivative
 ROUGHNESS_STEP = 0.04  # for finite differences
 MAX_CHANGE = 2.0  # maximum change of log radiance per step
 MATERIAL_SD = (0.3, 0.5)  # prior sd of roughness and of the parameters that mix the columns
+FIXED_SD = 1e-4  # of known parameters
 COLOR_SD = 0.35  # prior sd of base colour over the surface
 EXPOSURE, BALANCE = 0.5, 0.2  # prior sd of log gains: common part and per channel
 
@@ -181,7 +183,8 @@ def _material_equations(
     """
     own = samples.sum(np.einsum("s,sci,scj->sij", w, slopes, slopes, optimize=True))
     roughness, mixed = MATERIAL_SD
-    freedom = [roughness, *[mixed] * (slopes.shape[2] - 4), *[COLOR_SD] * 3]
+    free = [FIXED_SD if name in samples.grid.known else mixed for name in MIXED]
+    freedom = [roughness, *free, *[COLOR_SD] * 3]
     own += np.diag(1 / np.square(freedom))
     pull = samples.sum(np.einsum("sci,sc->si", slopes, off, optimize=True))
     pull[:, -3:] -= (materials.color - materials.color.mean(axis=0)) / COLOR_SD**2

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from numbers import Integral
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Any, Literal
 
 from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError
+from svu_mi.parameters import MIXED
 
 Background = Literal["none", "distant"]
 
@@ -38,6 +40,9 @@ class LightOptions:
     depths: tuple[tuple[int, int], ...] = ((256, 8), (1024, 4))
     """Pairs of a number of cells, in [64, 4096] and ascending, and a number of iterations."""
 
+    known: Mapping[str, float] = field(default_factory=dict, hash=False)
+    """Known value of metallic, in [0, 1], such as ``{"metallic": 0.0}``; default: estimated."""
+
     draws: int = 8
     """Number of posterior samples of the light, in [2, 64], for its effect on textures."""
 
@@ -55,6 +60,10 @@ class LightOptions:
                 "background 'distant' needs the recorded exposures and cannot be combined with "
                 "estimated gains; omit one of them."
             )
+        values = all(
+            name in MIXED and isinstance(x, Real) and 0 <= x <= 1 for name, x in self.known.items()
+        )
+        require(self, values, "known", f"a value in [0, 1] of {' or '.join(MIXED)} only")
         pairs = "(cells, rounds), ascending, of 64 to 4096 cells and 1 to 100 rounds"
         require(self, _are_depths(self.depths), "depths", pairs)
 

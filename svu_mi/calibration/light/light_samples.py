@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.sample_view import TexelLanes, sample_visible
+from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.statistics.statistics import noise_weight
@@ -38,6 +40,7 @@ class TexelSamples:
         cameras: (V, 3, 3) float64 rotations from camera to world space.
         unit: Radiance that noise is relative to.
         kappa, edges: Parameters of the weights.
+        grid: Grid of the materials, with known parameters.
     """
 
     scene: Any
@@ -53,6 +56,7 @@ class TexelSamples:
     unit: float
     kappa: float
     edges: float
+    grid: PrincipledGrid
 
     @property
     def count(self) -> int:
@@ -104,7 +108,9 @@ class TexelSamples:
         )
 
     @staticmethod
-    def of(observed: Observed, switches: AngularPreset, count: int) -> TexelSamples:
+    def of(
+        observed: Observed, switches: AngularPreset, count: int, known: Mapping[str, float]
+    ) -> TexelSamples:
         """Sample at most ``count`` seen texels, evenly distributed over the surface."""
         views, visibility = observed.views, observed.visibility
         if not visibility.scale > 0:
@@ -149,4 +155,5 @@ class TexelSamples:
             unit=observed.unit,
             kappa=kappa,
             edges=switches.edges,
+            grid=PrincipledGrid(known=known),
         )

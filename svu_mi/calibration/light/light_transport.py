@@ -268,7 +268,7 @@ class SampleMoments:
             np.bincount(samples.owner[samples.weight > 0], minlength=samples.texels),
             roughness_levels(switches.levels), samples.kappa,
         )  # fmt: skip
-        return calibrated_posterior(statistics, scale=samples.unit, preset=switches)
+        return calibrated_posterior(statistics, samples.grid, samples.unit, switches)
 
 
 def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
