@@ -340,18 +340,19 @@ def test_a_prior_of_cells_is_bayes() -> None:
 
 
 @pytest.mark.slow
-def test_shared_prior_matches_expectation_maximisation() -> None:
+@pytest.mark.parametrize("how", [empirical_bayes.CAREFUL, empirical_bayes.FIRM])
+def test_shared_prior_matches_expectation_maximisation(how: empirical_bayes.Learning) -> None:
     """Compare with the prior that the oracle learns from the same texels."""
     samples, _ = simulate(100, 12, 0.2)
     alone = calibrated_posterior(statistics(samples), preset=switches(bare_metals=0.0))
     options = {"tau": 3.5, "nu": 4, "r": PARTS[0], "m": PARTS[1]}
     given = samples.sums(), samples.w.sum(axis=1), np.full(100, 12)
     prior = oracle.common_prior(
-        *given, alone.prior, rounds=empirical_bayes.ROUNDS, sharpness=empirical_bayes.SHARPNESS,
-        otherwise=empirical_bayes.OTHERWISE, **options,
+        *given, alone.prior, rounds=how.rounds, sharpness=empirical_bayes.SHARPNESS,
+        otherwise=how.otherwise, **options,
     )  # fmt: skip
     truth = oracle.posterior(*given, prior=prior, **options)
-    shared = empirical_bayes.with_empirical_prior(alone)
+    shared = empirical_bayes.with_empirical_prior(alone, how)
     np.testing.assert_allclose(shared.prior, prior.mean(axis=-1), atol=2e-5)
     assert np.abs(np.array(shared.probabilities) - truth.cells).max() < 2e-4
     for name in ("roughness", "metallic"):
