@@ -116,6 +116,15 @@ class ChannelLikelihood:
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
         return 0.5 * sqrt(pi) * whole / self.s, list(self._turned(parts))
 
+    def weighted_masses(self, edges: list[float], prior: list[Any]) -> tuple[Any, ColorIntegrals]:
+        """Integrate as ``integrate_full_support``, in single precision and without moments."""
+        mass, parts = self.integrate_masses(edges)
+        masses = [g * part for g, part in zip(prior, parts, strict=True)]
+        total, zero = sum(masses), mi.Float(0)
+        inverse = dr.rcp(total)
+        bins = [inverse * x for x in masses]
+        return dr.log(mass * total), ColorIntegrals(mi.Float(1), bins, zero, zero)
+
     def integrate_full_support(
         self, edges: list[float], prior: list[Any]
     ) -> tuple[Any, ColorIntegrals]:

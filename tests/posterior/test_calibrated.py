@@ -164,6 +164,12 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     mass, parts = likelihood.integrate_masses(edges.tolist())
     assert np.abs(np.array(mass) / whole - 1).max() < 2e-5
     assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5
+    prior = [0.1, 2.0, 0.5, 1.0, 1.5, 0.01, 1.0, 3.0]
+    log_mass, weighted = likelihood.weighted_masses(edges.tolist(), [mi.Float(g) for g in prior])
+    expected = np.array(prior)[:, None] * cells
+    total = expected.sum(axis=0)
+    assert np.abs(np.exp(np.array(log_mass)) / (whole * total) - 1).max() < 5e-4
+    assert np.abs(np.array([np.array(x) for x in weighted.bins]) - expected / total).max() < 5e-4
 
 
 def test_noise_matches_the_student_prior() -> None:
