@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.axis import Axis
 from matplotlib.text import Text
 
 import svu_mi as svu
@@ -34,8 +35,10 @@ def texts(figure):
 def overlaps(figure):
     """Return pairs of texts that share pixels; ticks, which axes hide themselves, are left out."""
     figure.draw_without_rendering()
-    ticks = {t for a in figure.axes for t in (*a.get_xticklabels(), *a.get_yticklabels())}
-    boxes = [(t.get_text(), t.get_window_extent()) for t in texts(figure) if t not in ticks]
+    found = texts(figure)  # creates ticks beyond the limits
+    marks = [tick for axis in figure.findobj(Axis) for tick in (*axis.majorTicks, *axis.minorTicks)]
+    ticks = {label for tick in marks for label in (tick.label1, tick.label2)}
+    boxes = [(t.get_text(), t.get_window_extent()) for t in found if t not in ticks]
     return [(a, b) for (a, x), (b, y) in itertools.combinations(boxes, 2) if x.overlaps(y)]
 
 
