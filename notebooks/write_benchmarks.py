@@ -152,6 +152,14 @@ def intervals(record: Record) -> list[Row]:
     })  # fmt: skip
 
 
+def verdicts(record: Record) -> list[Row]:
+    return bars(record, {
+        "sound captures that are called reliable": ["sound captures"],
+        "captures with a mistake: called unreliable / cause named":
+            ["captures with a mistake that", "captures with a mistake whose"],
+    })  # fmt: skip
+
+
 def lights(record: Record) -> list[Row]:
     return bars(record, {
         "correlation of the environment maps: mean / worst glossy case":
@@ -334,6 +342,12 @@ SECTIONS = (
         "`path` differentiates a path tracer. The rows with 90 % intervals are shares of texels or "
         "pixels whose interval contains the truth.",
         {"recovery": textures, "sureness": intervals},
+    ),
+    Section(
+        "Captures with mistakes",
+        "Nine mistakes, three captures of each: estimates should call them unreliable, and name the "
+        "cause. The limits were chosen on the same objects under `window` and `studio`.",
+        {"verdict": verdicts},
     ),
     Section(
         "Light estimated from the photographs",

@@ -20,5 +20,6 @@ BENCHMARKS = {
     "scaling": "time and memory by number of texels and of views",
     "speed": "run times of estimates and kernels, for the first object and light",
     "sureness": "share of intervals of textures and pictures that contain the truth",
+    "verdict": "captures with a mistake: are they called unreliable, and is the cause named",
 }
 ALL = ("accuracy", "speed")  # run by ``all``; each of the others takes as long again

@@ -87,6 +87,7 @@ def run_record(
         "intervals": summary or IntervalSummary.of(estimate),
         "error_bars_widened": estimate.posterior.kernel.spread,
         "prediction": estimate.prediction,
+        "reliable": estimate.prediction and estimate.prediction.reliable,
     }
     return _record(
         capture, estimate, _settings(estimate), result,

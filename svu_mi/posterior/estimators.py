@@ -5,7 +5,7 @@ Statistics and posterior of all texels at once are read from the cache if it con
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -22,8 +22,16 @@ from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import CAMERA_FLOATS
 from svu_mi.posterior.angular import angular_posterior
-from svu_mi.posterior.calibrated import calibrated_posterior, fit, posterior_of, problem_of
-from svu_mi.posterior.folds import ENOUGH, SAMPLE, compared, folds_of, spread_factors
+from svu_mi.posterior.calibrated import (
+    CalibratedKernel,
+    calibrated_posterior,
+    fit,
+    posterior_of,
+    problem_of,
+)
+from svu_mi.posterior.folds import ENOUGH, SAMPLE, compared, fold_numbers, folds_of, spread_factors
+from svu_mi.posterior.held_out_samples import Values, predict_samples
+from svu_mi.posterior.judge_prediction import judged
 from svu_mi.posterior.kept_results import (
     pack_factors,
     pack_fit,
@@ -38,7 +46,8 @@ from svu_mi.posterior.kernel import observed_by
 from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_metal_share
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.prediction import FoldTest, predict
+from svu_mi.posterior.prediction import FoldTest
+from svu_mi.posterior.residual_patterns import Surroundings
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import Plan
 from svu_mi.presets import AngularPreset, AnyPreset
@@ -46,6 +55,8 @@ from svu_mi.reflection.roughness_levels import roughness_levels
 from svu_mi.statistics.cholesky_factors import Factors, stride
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
+
+DRAWS = 8  # for intervals of predicted samples
 
 
 @dataclass(frozen=True)
@@ -191,14 +202,37 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         spread = spread_factors(len(cameras), there, {
             name: [x.reshape(*shape, -1) for x in both] for name, both in moments.items()
         })  # fmt: skip
-        if parts.clipped_coverage is not None:  # lower bounds have no residual
-            parts = parts.without_clipped()
-            statistics = _statistics(inputs, parts, switches)
-        weighted = parts.radiance_moments(_weighting(inputs.observed, switches), plan.channels)
-        means = {name: both[0].astype(np.float64) for name, both in moments.items()}
         # A side that a few photographs show is not predicted by the others.
-        enough = len(cameras) >= ENOUGH
-        return FoldTest(spread, predict(statistics, weighted, means, there) if enough else None)
+        if len(cameras) < ENOUGH:
+            return FoldTest(spread)
+        alone = parts.without_clipped()  # lower bounds have no residual
+        model = alone.model(
+            _levels(inputs, switches), switches, plan.light_channels, np.arange(len(texels))
+        )
+        samples = predict_samples(
+            alone, model, _weighting(inputs.observed, switches),
+            fold_numbers(folds, len(cameras)), there,
+            *_without_folds(posterior, spread, moments, shape),
+        )  # fmt: skip
+        around = Surroundings.of(inputs.observed, texels)
+        return FoldTest(spread, judged(samples, around))
+
+
+def _without_folds(
+    posterior: Posterior[CalibratedKernel], spread: Mapping[str, float],
+    moments: Mapping[str, Sequence[np.ndarray]], shape: tuple[int, int],
+) -> tuple[list[Values], np.ndarray]:  # fmt: skip
+    """Return means and draws of the parameters, and the noise, without each fold."""
+    wide = replace(posterior, kernel=replace(posterior.kernel, spread=spread))
+    drawn = wide.draw(DRAWS)
+    values = {}
+    for name, (mean, _) in moments.items():
+        several = np.array(drawn[name]).reshape(DRAWS, *mean.shape)
+        values[name] = np.concatenate([mean[None], several])
+    each: list[Values] = [{name: x[k].reshape(*shape, -1)[1:] for name, x in values.items()}
+            for k in range(1 + DRAWS)]  # fmt: skip
+    noise = posterior.kernel.noise_of(np.arange(posterior.count))
+    return each, noise.reshape(shape)[1:]
 
 
 def _statistics(inputs: EstimatorInputs, parts: Observed, switches: AngularPreset) -> Statistics:

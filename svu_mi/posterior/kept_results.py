@@ -29,7 +29,13 @@ from svu_mi.parameters import NAMES
 from svu_mi.posterior.calibrated import CalibratedFit
 from svu_mi.posterior.calibrated_kernel import PosteriorSummary
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
-from svu_mi.posterior.prediction import FoldTest, HeldOutPrediction
+from svu_mi.posterior.prediction import (
+    CAUSES,
+    SIDES,
+    FoldTest,
+    HeldOutPrediction,
+    PartPrediction,
+)
 from svu_mi.statistics.cholesky_factors import Factors, stride
 
 
@@ -141,20 +147,35 @@ def restore_fit(arrays: Arrays, problem: CalibratedProblem) -> CalibratedFit:
 
 def pack_test(test: FoldTest) -> Arrays:
     """Return the arrays of a test by folds."""
-    prediction = test.prediction
-    figures = [] if prediction is None else [prediction.r2, prediction.r2_of_means]
-    return {"spread": np.array([test.spread.get(name, 0.0) for name in NAMES]),
-            "prediction": np.array(figures, float)}  # fmt: skip
+    spread = np.array([test.spread.get(name, 0.0) for name in NAMES])
+    tested = test.prediction
+    if tested is None:
+        return {"spread": spread, "figures": np.zeros(0), "parts": np.zeros((0, 2))}
+    cause = list(CAUSES).index(tested.cause)
+    parts = [(part.r2, part.coverage) for part in (*tested.sides.values(), *tested.photographs)]
+    figures = [tested.r2, tested.r2_of_means, tested.r2_of_diffuse, tested.coverage, cause]
+    return {"spread": spread, "figures": np.array(figures, float),
+            "parts": np.array(parts).reshape(-1, 2)}  # fmt: skip
 
 
 def restore_test(arrays: Arrays) -> FoldTest:
     """Return a test by folds."""
-    schema = {"spread": Field("f8", (len(NAMES),), 0, 1e6),
-              "prediction": Field("f8", (Axis("number of figures", 0, 2),))}  # fmt: skip
+    schema = {
+        "spread": Field("f8", (len(NAMES),), 0, 1e6),
+        "figures": Field("f8", (Axis("number of figures", 0, 5),), -1e300, 1e300),
+        "parts": Field("f8", (Axis("number of parts"), 2)),
+    }
     checked(arrays, schema, closed=True)
-    figures = arrays["prediction"].tolist()
     spread = {n: float(x) for n, x in zip(NAMES, arrays["spread"], strict=True) if x}
-    return FoldTest(spread, HeldOutPrediction(*figures) if len(figures) == 2 else None)
+    if len(arrays["figures"]) < 5:
+        return FoldTest(spread)
+    r2, means, diffuse, coverage, cause = arrays["figures"].tolist()
+    parts = [PartPrediction(*both) for both in arrays["parts"].tolist()]
+    found = HeldOutPrediction(
+        r2, means, diffuse, coverage, list(CAUSES)[int(cause) % len(CAUSES)],
+        tuple(parts[len(SIDES) :]), dict(zip(SIDES, parts, strict=False)),
+    )  # fmt: skip
+    return FoldTest(spread, found)
 
 
 def _words(numbers: int, lanes: int) -> Field:

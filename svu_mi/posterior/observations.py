@@ -54,7 +54,6 @@ from svu_mi.statistics.gather_statistics import (
     Weighting,
     clipped_samples,
     gather_statistics,
-    radiance_moments,
     rounding_sums,
 )
 from svu_mi.statistics.statistics import LazyStatistics, Statistics
@@ -249,10 +248,6 @@ class Observed:
         """Return the rounding variance, (S,) squared radiance; None if photographs are floats."""
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
-
-    def radiance_moments(self, weighting: Weighting, channels: int) -> np.ndarray:
-        """Return sums of w, and of w b and w b^2 per channel, (1 + 2 C, S) float64."""
-        return radiance_moments(self.views, self.visibility, self.surface, weighting, channels)
 
     def _with_clipped(
         self, model: ReflectionModel, channels: int, weighting: Weighting

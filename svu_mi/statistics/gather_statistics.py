@@ -276,23 +276,3 @@ def rounding_sums(
     (total,) = visibility.over_views(views, surface, consume, (dr.zeros(mi.Float, surface.count),))
     dr.eval(total)
     return np.array(total, np.float64)
-
-
-def radiance_moments(
-    views: Views, visibility: Visibility, surface: TexelLanes, weighting: Weighting, channels: int
-) -> np.ndarray:
-    """Return sums of w, and of w b and w b^2 per channel, (1 + 2 C, S) float64."""
-    knee, eta = dr.opaque(mi.Float, weighting.kappa), dr.opaque(mi.Float, weighting.edges)
-
-    def consume(seen: ViewSample, _slot: Any, *sums: Any) -> tuple[Any, ...]:
-        radiance = as_channels(seen.radiance, channels)
-        weight = noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)
-        w = mi.Float64(dr.select(seen.seen, weight, 0))
-        b = [mi.Float64(x) for x in radiance]
-        added = [mi.Float64(1), *b, *(x * x for x in b)]
-        return tuple(dr.fma(w, x, old) for x, old in zip(added, sums, strict=True))
-
-    zeros = tuple(dr.zeros(mi.Float64, surface.count) for _ in range(1 + 2 * channels))
-    sums = visibility.over_views(views, surface, consume, zeros)
-    dr.eval(*sums)
-    return np.stack([np.array(x) for x in sums])

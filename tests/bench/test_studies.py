@@ -59,7 +59,7 @@ TINY = {
 @pytest.mark.parametrize(
     ("name", "cases", "rows"),
     [("calibration", 1, 3), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
-     ("scaling", 1, 4), ("sureness", 1, 4)],
+     ("scaling", 1, 4), ("sureness", 1, 4), ("verdict", 1, 4)],
 )  # fmt: skip
 def test_a_study_measures_every_row(name, cases, rows, tmp_path, monkeypatch):
     for module, changes in TINY.items():

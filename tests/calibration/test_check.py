@@ -20,6 +20,7 @@ from support.written import write
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.bench.spoiled_captures import foreign_mesh
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
 from svu_mi.calibration.checks.check import find_axis_mistakes
 from svu_mi.calibration.checks.decisions import (
@@ -192,6 +193,14 @@ def test_a_right_capture_is_left_alone(capture):
     assert pose_finding(without_masks(capture))[0].verdict == "fits"
     findings, _ = find_axis_mistakes(eight_bit(before_wall(capture)))
     assert [one.verdict for one in findings] == ["fits", "fits", "fits"]
+
+
+def test_a_foreign_mesh_is_named_without_masks(capture):
+    vase = capture_mesh.make_mesh("vase", capture_mesh.MeshArrays(*meshes.vase()[:2], None, None))
+    foreign = foreign_mesh(without_masks(capture), replace(capture, shape=vase))
+    finding = find_axis_mistakes(foreign)[0][0]
+    assert finding.verdict == "unclear" and finding.fixes == ()
+    assert "turned or moved, the mesh fits as well" in finding.sentence
 
 
 @pytest.mark.slow

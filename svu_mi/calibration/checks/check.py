@@ -14,6 +14,7 @@ from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
 from svu_mi.calibration.checks.check_result import Check, Finding
 from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
 from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity, fit_masks
+from svu_mi.calibration.checks.moved_meshes import Advantage
 from svu_mi.calibration.checks.pose_scores import check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
@@ -152,6 +153,9 @@ def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings,
     with progress.stage("Testing poses") as stage:
         scores = score_poses(capture, points, texture, stage.update)
         poses, chosen = decisions.decide_poses(scores)
+        if not chosen.masked and (poses.fixes or poses.verdict == "fits"):
+            advantage = Advantage.of(capture, points, chosen.hypothesis)
+            poses = poses if advantage.is_clear else decisions.fits_anywhere(poses, advantage)
     axes = chosen.hypothesis.camera_axes
     if poses.verdict == "unclear" and not poses.fixes:
         reason = "cameras and mesh must fit first"

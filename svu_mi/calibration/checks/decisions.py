@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.calibration.checks.check_result import Finding, Question, ScoredHypothesis, Verdict
 from svu_mi.calibration.checks.envmap_orientation import LightScore, NormalDependence
 from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, ViewGains
+from svu_mi.calibration.checks.moved_meshes import Advantage
 from svu_mi.calibration.checks.pose_scores import (
     PoseScore,
     differs_in_texture_only,
@@ -96,6 +97,17 @@ def _decide_by_texture(
         f"(correlation {chosen.texture:.2f} instead of {current.texture:.2f}): the axes or the "
         "texture are wrong.",
     ), chosen  # fmt: skip
+
+
+def fits_anywhere(poses: Finding, advantage: Advantage) -> Finding:
+    """Return a finding of a mesh that fits no better than turned and moved ones."""
+    return replace(
+        poses, verdict="unclear", fixes=(), alternatives=(),
+        sentence="Mesh and photographs do not fit: turned or moved, the mesh fits as well "
+        f"(contrast along the outline {advantage.contrast:+.2f}, agreement of views "
+        f"{advantage.agreement:+.2f} from the mean of these). It is probably of another object, or "
+        "far from its place; give the mesh of this object, in the frame of the poses.",
+    )  # fmt: skip
 
 
 def with_inside_out(poses: Finding, behind: float) -> Finding:

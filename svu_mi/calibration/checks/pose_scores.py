@@ -85,7 +85,7 @@ def score_poses(
     frames = Thumbnails.of(capture)
     small = Thumbnails.of(limit_views(reduce_photographs(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
-    masked, judge = _silhouette_fit(small)
+    masked, judge = silhouette_fit(small)
     fits = []
     for index, hypothesis in enumerate(hypotheses):
         fits.append(judge(silhouettes(small.posed(hypothesis.relative_poses(small.poses)))))
@@ -108,7 +108,7 @@ def score_poses(
 SilhouetteFit = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
-def _silhouette_fit(frames: Thumbnails) -> tuple[bool, SilhouetteFit]:
+def silhouette_fit(frames: Thumbnails) -> tuple[bool, SilhouetteFit]:
     """Return whether there are enough masks, and the function that scores silhouettes."""
     pairs = [(k, mask) for k, mask in enumerate(frames.masks) if mask is not None and mask.any()]
     if len(pairs) >= min(frames.views.number, 3):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from svu_mi.calibration.checks.thumbnails import Thumbnails, tonemapped
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.capture.scene import find_environment
-from svu_mi.core.arrays import fibonacci, to_drjit
+from svu_mi.core.arrays import evenly_spaced, fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
 from svu_mi.light.band_limited import band_limited_lighting, look_up
 from svu_mi.light.environment import basis_at, read_environment
@@ -58,6 +58,13 @@ class Points:
     facing: np.ndarray
     uv: np.ndarray | None
     offset: float
+
+    def subset(self, count: int) -> Points:
+        """Return at most ``count`` of the points, evenly distributed."""
+        chosen = evenly_spaced(len(self.position), count)
+        uv = None if self.uv is None else self.uv[chosen]
+        return replace(self, position=self.position[chosen], normal=self.normal[chosen],
+                       facing=self.facing[chosen], uv=uv)  # fmt: skip
 
     def surface(self, index: Any) -> TexelLanes:
         """Return the points at indices (UInt32) as kernel lanes."""

@@ -208,10 +208,12 @@ class Viewer:
         seen = is_seen(self._estimate)
         entropy = np.array(self._estimate.entropy)
         mean = (entropy[seen] if seen.any() else entropy).mean()
+        tested = self._estimate.prediction
+        wrong = "" if tested is None or tested.reliable else f" {tested.sentence()}"
         return (
             f"**{markdown_text(self._capture.shape.id())}**: {sum(self._capture.used)} views, "
             f"{self._estimate.texels.count} texels, {percent(seen.mean())} seen, mean entropy "
-            f"{mean:.2f}. Grey: never seen."
+            f"{mean:.2f}. Grey: never seen.{wrong}"
         )
 
     def _listen(self) -> None:
