@@ -195,9 +195,10 @@ def test_a_right_capture_is_left_alone(capture):
     assert [one.verdict for one in findings] == ["fits", "fits", "fits"]
 
 
-def test_a_foreign_mesh_is_named_without_masks(capture):
-    vase = capture_mesh.make_mesh("vase", capture_mesh.MeshArrays(*meshes.vase()[:2], None, None))
-    foreign = foreign_mesh(without_masks(capture), replace(capture, shape=vase))
+def test_a_foreign_mesh_is_named_without_masks(knot):
+    points, faces, uvs = meshes.vase()
+    vase = capture_mesh.make_mesh("vase", capture_mesh.MeshArrays(points, faces, None, uvs))
+    foreign = foreign_mesh(without_masks(knot), replace(knot, shape=vase))
     finding = find_axis_mistakes(foreign)[0][0]
     assert finding.verdict == "unclear" and finding.fixes == ()
     assert "turned or moved, the mesh fits as well" in finding.sentence
