@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evaluation.test_traced_posterior import paint, sky
+from oracle.levels import levels as levels_of
 from support.helpers import render_ball
 
 import svu_mi as svu
@@ -211,7 +212,7 @@ def test_samples_are_scaled_to_those_of_other_folds():
 def test_errors_of_samples_are_those_of_statistics(capture, layout, estimates):
     """Oracle: the quadratic form of all statistics minus those without a fold, at a level."""
     observed, fold = estimates[0].observed, np.array([1, 4, 9, 20])
-    texels, levels = observed.seen[::7], np.linspace(0, 1, 8)
+    texels, levels = observed.seen[::7], levels_of(8)
     weighting = Weighting(kappa=observed.unit / 2)
     parts = observed.without(texels, [np.array([], int), fold])
     table = parts.statistics(levels, preset(), 3, weighting=weighting).table()
