@@ -44,7 +44,7 @@ def test_a_photograph_is_cropped_to_its_mask():
     red = np.broadcast_to(np.float32([0.5, 0, 0]), (20, 30, 3))
     mask = np.zeros((20, 30), bool)
     mask[5:10, 10:15] = True
-    capture = SimpleNamespace(images=(red, red), masks=(None, mask))
+    capture = SimpleNamespace(images=(red, red), masks=(None, mask), clipped=())
     whole, part = axes(), axes()
     draw_photograph(whole, capture, 0)
     draw_photograph(part, capture, 1)
