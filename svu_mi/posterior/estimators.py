@@ -140,17 +140,21 @@ def with_metal_share(
     """Return options with the share of metals on the object (``metal_share``).
 
     ``factors`` are the statistics of all seen texels; default: they are gathered for a sample.
+    With a found light, no metal is expected to be bright: its level is uncertain.
     """
+    if inputs.observed.capture.light_uncertainty is not None:
+        switches = replace(switches, bare_metals=0.0)
     given = inputs.prior is not None or switches.metal_share is not None
     if given or switches.noise != "estimated" or knows_metals(inputs.grid):
         return switches
     seen = inputs.observed
-    texels = np.flatnonzero(view_counts(seen, switches)) if factors is None else factors.texel
 
     def learn() -> float:
-        chosen = evenly_spaced(len(texels), METAL_SAMPLE)
-        part = seen.subset(np.asarray(texels)[chosen])
-        sample = factors.subset(chosen) if factors else _statistics(inputs, part, switches).factor()
+        shown = view_counts(seen, switches) if factors is None else factors.views.numpy()
+        lanes = np.flatnonzero(shown)
+        lanes = lanes[evenly_spaced(len(lanes), METAL_SAMPLE)]
+        part = seen.subset(lanes if factors is None else factors.texel.numpy()[lanes])
+        sample = factors.subset(lanes) if factors else _statistics(inputs, part, switches).factor()
         return learned_metal_share(
             sample, inputs.grid, seen.unit, switches, copies=inputs.plan.copies,
             rounding=_rounding(part, switches),

@@ -280,6 +280,7 @@ def test_what_stops_the_search_is_one_line(dark, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
+@COARSE
 def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     """All later commands use the same light."""
     out = tmp_path / "textures"

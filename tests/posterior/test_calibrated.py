@@ -261,7 +261,8 @@ def test_credible_sets_cover_samples_of_the_model() -> None:
     """With parameters sampled from the prior, the coverage of intervals equals their level."""
     samples, truth = simulate(4000, 10, 0.15, seed=3)
     posterior = calibrated_posterior(
-        statistics(samples), preset=switches(overdispersion=1.0, degrees=1000.0)
+        statistics(samples),
+        preset=switches(overdispersion=1.0, degrees=1000.0, bare_metals=0.0),
     )
     drawn = posterior.draw(99, seed=1)
     for name in ("roughness", "base_color"):

@@ -23,9 +23,9 @@ from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.parameters import CHANNELS
 
 OBJECT, LIGHT = scenes.path("knot"), "studio"
-VIEWS, WIDTH, HEIGHT = 30, 144, 108
+VIEWS, WIDTH, HEIGHT = 30, 256, 192
 FAR = 3.9  # distance of the cameras
-MARGIN = 14  # pixels around a photograph that its lens bends into it
+MARGIN = 24  # pixels around a photograph that its lens bends into it
 RADIAL = (-0.06, 0.015)  # of COLMAP: x' = x (1 + k1 r^2 + k2 r^4)
 RATIO = 1.6  # of the longest and the shortest exposure
 MILLIMETRES = 1000.0  # per unit of the poses
@@ -34,7 +34,7 @@ WHITE = 0.98  # of the pixels that the longest exposure does not clip
 TIME = 0x829A  # tag of EXIF
 
 
-def write_phone_capture(folder: Path, spp: int = 8) -> float:
+def write_phone_capture(folder: Path, spp: int = 16) -> float:
     """Write ``my_colmap_project`` and ``scan.obj``.
 
     Returns:
