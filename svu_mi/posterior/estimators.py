@@ -57,6 +57,8 @@ from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
 
 DRAWS = 8  # for intervals of predicted samples
+# Of a sample, texels times photographs at most, and texels at least; memory grows with the former.
+PAIRS, FEWEST = 48000, 200
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,8 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
     """Compare the posteriors of a sample of texels with those without each fold."""
     observed, plan = inputs.observed, inputs.plan
     seen = np.flatnonzero(view_counts(observed, switches))
-    texels = seen[evenly_spaced(len(seen), SAMPLE)]
+    most = max(min(SAMPLE, PAIRS // observed.views.number), FEWEST)
+    texels = seen[evenly_spaced(len(seen), most)]
     if observed.texels.count > TILE:
         observed = observed.subset(texels)
     with inputs.progress.stage("Testing error bars"):

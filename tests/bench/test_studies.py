@@ -43,7 +43,7 @@ def _briefly(*known, preset="default", **words):
 
 
 TINY = {
-    light: {"QUICK": {"views": 12, "film": 32, "spp": 4}, "QUICK_TEXELS": 24},
+    light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 2},
     scaling: {"QUICK": scaling.ScalingSizes(
         resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
