@@ -610,7 +610,8 @@ class TestNextBestView:
     @pytest.mark.slow
     def test_gain_of_a_sample_equals_that_of_all_within_its_error(self, sunny, estimated):
         capture, texels = sunny
-        estimate = estimated(0, 5, 9)
+        plain = svu.preset("default", method="angular", bare_metals=0.0, metal_share=0.5)
+        estimate = estimated(0, 5, 9, preset=plain)
         around = svu.Candidates.without_photograph(some(capture, (0, 5, 9)))
         every = svu.next_best_view(estimate, around, texels=10**6)
         assert every.proposals[0].error == 0
