@@ -8,6 +8,7 @@ triangles take 0.03 to 0.05 s.
 from __future__ import annotations
 
 import os
+import re
 import struct
 import zlib
 from collections import Counter
@@ -186,6 +187,8 @@ def _check_mesh(settings: dict[str, Any], label: str) -> None:
     try:
         if settings["type"] == "serialized":
             _check_serialized(_path(settings["filename"]), int(settings.get("shape_index", 0)))
+        if settings["type"] == "ply":
+            _check_ply(_path(settings["filename"]))
         mesh: Any = mi.load_dict({**settings, "face_normals": True})
     except (OSError, ValueError, struct.error, zlib.error, *READING) as error:
         raise SceneError(
@@ -193,6 +196,17 @@ def _check_mesh(settings: dict[str, Any], label: str) -> None:
         ) from error
     if problem := missing_corner(mesh):
         raise SceneError(f"{label}: {problem}; export the mesh again.")
+
+
+def _check_ply(path: Path) -> None:
+    """Raise ValueError if a header counts more elements than the file has bytes."""
+    with path.open("rb") as file:
+        head, _, _ = file.read(HEADER).partition(b"end_header")
+    for name, count in re.findall(rb"^element\s+(\S+)\s+(\d+)", head, re.MULTILINE):
+        if int(count) > path.stat().st_size:
+            raise ValueError(
+                f"the file cannot contain {int(count)} elements {excerpt(name.decode('latin-1'))}"
+            )
 
 
 def _check_serialized(path: Path, index: int) -> None:

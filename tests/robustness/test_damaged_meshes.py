@@ -80,6 +80,7 @@ DAMAGED = {
     "cut.ply": (ply()[:-20], "cannot be read: "),
     "many.ply": (ply(count=2**32 + 4), "cannot be read: "),
     "huge.ply": (ply(vertices=10**15), "cannot be read: "),
+    "most.ply": (ply(vertices=2**63), "cannot contain 9223372036854775808 elements vertex"),
     "nan.ply": (ply().replace(CORNERS.tobytes()[:4], b"\0\0\xc0\x7f"), "invalid vertex position"),
     "empty.ply": (b"", "cannot be read: "),
     "corner.serialized": (serialized(WRONG), "refers to vertex"),

@@ -90,7 +90,7 @@ def _matrices(file: Path) -> tuple[list[np.ndarray], np.ndarray | None]:
         count = max(sum(name.startswith(WORLD) for name in arrays), 1)
         checked(arrays, {f"{kind}_{k}": MATRIX for kind in kinds for k in range(count)})
         for name, matrix in arrays.items():
-            if not np.allclose(matrix[3], [0, 0, 0, 1]):
+            if matrix.shape != (4, 4) or not np.allclose(matrix[3], [0, 0, 0, 1]):
                 raise ValueError(f"the last row of {name} must be 0 0 0 1")
     worlds = [arrays[f"{WORLD}_{k}"] for k in range(count)]
     if SCALE not in kinds:
