@@ -57,8 +57,8 @@ from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
 
 DRAWS = 8  # for intervals of predicted samples
-# Of a sample, texels times photographs at most, and texels at least; memory grows with the former.
-PAIRS, FEWEST = 48000, 200
+# Texels times photographs of a sample at most, which take memory; and texels at least.
+MOST_SAMPLES, FEWEST_TEXELS = 48000, 200
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
     """Compare the posteriors of a sample of texels with those without each fold."""
     observed, plan = inputs.observed, inputs.plan
     seen = np.flatnonzero(view_counts(observed, switches))
-    most = max(min(SAMPLE, PAIRS // observed.views.number), FEWEST)
+    most = max(min(SAMPLE, MOST_SAMPLES // observed.views.number), FEWEST_TEXELS)
     texels = seen[evenly_spaced(len(seen), most)]
     if observed.texels.count > TILE:
         observed = observed.subset(texels)

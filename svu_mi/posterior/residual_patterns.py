@@ -111,10 +111,14 @@ class ResidualPatterns:
         return self.compressed(self.samples.predicted)
 
     @cached_property
+    def radiance_of_means(self) -> np.ndarray:
+        """Means of the texels' samples in other folds, (S, C)."""
+        return self.samples.scaled_to_others(np.ones_like(self.samples.radiance))
+
+    @cached_property
     def means(self) -> np.ndarray:
-        """Means of the texels' samples in other folds, compressed, (S, C)."""
-        ones = np.ones_like(self.samples.radiance)
-        return self.compressed(self.samples.scaled_to_others(ones))
+        """``radiance_of_means``, compressed."""
+        return self.compressed(self.radiance_of_means)
 
     @cached_property
     def error(self) -> float:
@@ -145,8 +149,7 @@ class ResidualPatterns:
     @cached_property
     def gain(self) -> tuple[float, float]:
         """Standard deviation of log gains, and the part of the error that they explain."""
-        ones = np.ones_like(self.samples.radiance)
-        of_means = self.gains(self.samples.scaled_to_others(ones))
+        of_means = self.gains(self.radiance_of_means)
         of_model = self.gains(self.samples.predicted)
         equal = self.samples.radiance / np.exp(of_model[self.samples.view])[:, None]
         left = np.square(self.compressed(equal) - self.predicted).sum()
