@@ -32,9 +32,9 @@ from svu_mi.posterior.estimators import (
     statistics_posterior,
     tiled_posterior,
     view_counts,
-    with_folds,
     with_metal_share,
 )
+from svu_mi.posterior.fold_comparison import with_folds
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior

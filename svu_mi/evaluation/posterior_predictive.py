@@ -70,7 +70,7 @@ class Prediction:
         return Prediction(
             observed.views.scene, model,
             [{name: _floats(values[k]) for name, values in drawn.items()} for k in range(draws)],
-            [shares_of(values, switches.levels) for values in drawn["roughness"]],
+            [_floats(level_shares(x, switches.levels)) for x in drawn["roughness"]],
         )  # fmt: skip
 
     def seen_from(self, eye: np.ndarray) -> np.ndarray:
@@ -86,11 +86,6 @@ class Prediction:
             dr.eval(shown)
             radiance[k] = np.stack([x.numpy() for x in shown], axis=1)
         return radiance
-
-
-def shares_of(roughness: np.ndarray, levels: int) -> list[Any]:
-    """Return the spline weight of each level at (n,) roughness values: R Floats."""
-    return _floats(level_shares(roughness, levels))
 
 
 def diffuse_seen_from(

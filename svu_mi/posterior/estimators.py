@@ -5,7 +5,7 @@ Statistics and posterior of all texels at once are read from the cache if it con
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,38 +16,29 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import evenly_spaced, to_drjit
-from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
-from svu_mi.geometry.packed_views import CAMERA_FLOATS
 from svu_mi.posterior.angular import angular_posterior
 from svu_mi.posterior.calibrated import (
-    CalibratedKernel,
     calibrated_posterior,
     fit,
     posterior_of,
     problem_of,
 )
-from svu_mi.posterior.folds import ENOUGH, SAMPLE, compared, fold_numbers, folds_of, spread_factors
-from svu_mi.posterior.held_out_samples import Values, predict_samples
-from svu_mi.posterior.judge_prediction import judged
 from svu_mi.posterior.kept_results import (
     pack_factors,
     pack_fit,
     pack_share,
-    pack_test,
     restore_factors,
     restore_fit,
     restore_share,
-    restore_test,
 )
 from svu_mi.posterior.kernel import observed_by
-from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_metal_share
+from svu_mi.posterior.metal_share import METAL_SAMPLE, learned_metal_share
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest
-from svu_mi.posterior.residual_patterns import Surroundings
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import Plan
 from svu_mi.presets import AngularPreset, AnyPreset
@@ -56,10 +47,6 @@ from svu_mi.statistics.cholesky_factors import Factors, stride
 from svu_mi.statistics.gather_statistics import Weighting
 from svu_mi.statistics.statistics import Statistics
 
-DRAWS = 8  # for intervals of predicted samples
-# Texels times photographs of a sample at most, which take memory; and texels at least.
-MOST_SAMPLES, FEWEST_TEXELS = 48000, 200
-
 
 @dataclass(frozen=True)
 class EstimatorInputs:
@@ -67,7 +54,7 @@ class EstimatorInputs:
 
     Attributes:
         whole: True disables tiles (see ``pipeline.estimate``).
-        test: test by folds of the views (``with_folds``).
+        test: test by folds of the views (``fold_comparison``).
     """
 
     observed: Observed
@@ -85,7 +72,7 @@ def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
     texels = observed.seen
     if not _uses_all(observed, switches):
         texels = np.flatnonzero(observed.coverage)
-    levels, channels = _levels(inputs, switches), inputs.plan.channels
+    levels, channels = gathered_levels(inputs, switches), inputs.plan.channels
 
     def gather() -> Factors:
         if switches.traced:
@@ -110,7 +97,7 @@ def statistics_posterior(
     scale, copies = observed.unit, inputs.plan.copies
     problem = problem_of(factors, inputs.grid, scale, switches, inputs.prior, copies)
     fitted = observed.cache.recall(
-        "posterior", _posterior_inputs(inputs, switches),
+        "posterior", posterior_inputs(inputs, switches),
         lambda: fit(problem, switches, scale, _rounding(observed, switches)),
         pack_fit, partial(restore_fit, problem=problem),
     )  # fmt: skip
@@ -122,10 +109,10 @@ def statistics_posterior(
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
     """Return all inputs of the statistics in addition to those of ``observed.cache``."""
     plan = inputs.plan
-    return [switches, _levels(inputs, switches), plan.channels, plan.light_channels]
+    return [switches, gathered_levels(inputs, switches), plan.channels, plan.light_channels]
 
 
-def _posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
+def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
     """Return all inputs of the posterior in addition to those of ``observed.cache``."""
     prior = None if inputs.prior is None else np.asarray(inputs.prior)
     return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
@@ -147,7 +134,7 @@ def with_metal_share(
     if inputs.observed.capture.light_uncertainty is not None:
         switches = replace(switches, bare_metals=0.0)
     given = inputs.prior is not None or switches.metal_share is not None
-    if given or switches.noise != "estimated" or knows_metals(inputs.grid):
+    if given or switches.noise != "estimated" or "metallic" in inputs.grid.known:
         return switches
     seen = inputs.observed
 
@@ -156,96 +143,23 @@ def with_metal_share(
         lanes = np.flatnonzero(shown)
         lanes = lanes[evenly_spaced(len(lanes), METAL_SAMPLE)]
         part = seen.subset(lanes if factors is None else factors.texel.numpy()[lanes])
-        sample = factors.subset(lanes) if factors else _statistics(inputs, part, switches).factor()
+        sample = factors.subset(lanes) if factors else gather_sums(inputs, part, switches).factor()
         return learned_metal_share(
             sample, inputs.grid, seen.unit, switches, copies=inputs.plan.copies,
             rounding=_rounding(part, switches),
         )  # fmt: skip
 
     share = seen.cache.recall(
-        "metals", _posterior_inputs(inputs, switches), learn, pack_share, restore_share
+        "metals", posterior_inputs(inputs, switches), learn, pack_share, restore_share
     )
     return replace(switches, metal_share=share)
 
 
-def with_folds(inputs: EstimatorInputs, switches: AngularPreset) -> EstimatorInputs:
-    """Return inputs with the test by folds of the views (``folds``, ``prediction``)."""
-    if not switches.folds or switches.noise != "estimated":
-        return inputs
-    test = inputs.observed.cache.recall(
-        "folds", _posterior_inputs(inputs, switches),
-        lambda: _test_by_folds(inputs, switches), pack_test, restore_test,
-    )  # fmt: skip
-    return replace(inputs, test=test)
-
-
-def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest:
-    """Compare the posteriors of a sample of texels with those without each fold."""
-    observed, plan = inputs.observed, inputs.plan
-    seen = np.flatnonzero(view_counts(observed, switches))
-    most = max(min(SAMPLE, MOST_SAMPLES // observed.views.number), FEWEST_TEXELS)
-    texels = seen[evenly_spaced(len(seen), most)]
-    if observed.texels.count > TILE:
-        observed = observed.subset(texels)
-    with inputs.progress.stage("Testing error bars"):
-        cameras = observed.views.cameras.numpy().reshape(-1, CAMERA_FLOATS)[:, 12:15]
-        # Component by component: Dr.Jit would compile a kernel for each number of points.
-        center = np.array([x.numpy().mean() for x in observed.texels.position])
-        folds = folds_of(cameras, center, switches.folds)
-        if not folds:
-            return FoldTest()
-        if switches.traced:
-            observed.light_visibility(switches.cells, occluded=switches.occluded)
-        parts = observed.without(texels, [np.array([], int), *folds])
-        statistics = _statistics(inputs, parts, switches)
-        posterior = calibrated_posterior(
-            statistics, inputs.grid, inputs.observed.unit, switches, prior=inputs.prior,
-            copies=plan.copies,
-        )  # fmt: skip
-        shape = (1 + len(folds), len(texels))
-        moments = {name: posterior.kernel.moments(name, np.arange(posterior.count))
-                   for name in posterior.axes}  # fmt: skip
-        there = compared(view_counts(parts, switches).reshape(shape))
-        spread = spread_factors(len(cameras), there, {
-            name: [x.reshape(*shape, -1) for x in both] for name, both in moments.items()
-        })  # fmt: skip
-        # A side that a few photographs show is not predicted by the others.
-        if len(cameras) < ENOUGH:
-            return FoldTest(spread)
-        alone = parts.without_clipped()  # lower bounds have no residual
-        model = alone.model(
-            _levels(inputs, switches), switches, plan.light_channels, np.arange(len(texels))
-        )
-        samples = predict_samples(
-            alone, model, _weighting(inputs.observed, switches),
-            fold_numbers(folds, len(cameras)), there,
-            *_without_folds(posterior, spread, moments, shape),
-        )  # fmt: skip
-        around = Surroundings.of(inputs.observed, texels)
-        return FoldTest(spread, judged(samples, around))
-
-
-def _without_folds(
-    posterior: Posterior[CalibratedKernel], spread: Mapping[str, float],
-    moments: Mapping[str, Sequence[np.ndarray]], shape: tuple[int, int],
-) -> tuple[list[Values], np.ndarray]:  # fmt: skip
-    """Return means and draws of the parameters, and the noise, without each fold."""
-    wide = replace(posterior, kernel=replace(posterior.kernel, spread=spread))
-    drawn = wide.draw(DRAWS)
-    values = {}
-    for name, (mean, _) in moments.items():
-        several = np.array(drawn[name]).reshape(DRAWS, *mean.shape)
-        values[name] = np.concatenate([mean[None], several])
-    each: list[Values] = [{name: x[k].reshape(*shape, -1)[1:] for name, x in values.items()}
-            for k in range(1 + DRAWS)]  # fmt: skip
-    noise = posterior.kernel.noise_of(np.arange(posterior.count))
-    return each, noise.reshape(shape)[1:]
-
-
-def _statistics(inputs: EstimatorInputs, parts: Observed, switches: AngularPreset) -> Statistics:
+def gather_sums(inputs: EstimatorInputs, parts: Observed, switches: AngularPreset) -> Statistics:
     return parts.statistics(
-        _levels(inputs, switches), switches, inputs.plan.channels,
-        light_channels=inputs.plan.light_channels, weighting=_weighting(inputs.observed, switches),
+        gathered_levels(inputs, switches), switches, inputs.plan.channels,
+        light_channels=inputs.plan.light_channels,
+        weighting=weighting_of(inputs.observed, switches),
     )  # fmt: skip
 
 
@@ -273,7 +187,7 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
     seen, texels = inputs.observed, inputs.observed.seen
     if not _uses_all(seen, switches):
         texels = np.flatnonzero(seen.coverage)
-    rows = stride(len(_levels(inputs, switches)), inputs.plan.channels)
+    rows = stride(len(gathered_levels(inputs, switches)), inputs.plan.channels)
     if rows * len(texels) > MAX_LANES:
         raise OptionError(
             f"The statistics of {len(texels)} seen texels exceed the size of an array; at most "
@@ -313,20 +227,20 @@ def _factors(
 ) -> Factors:
     """Gather the statistics of texels (default: ``seen.seen``) and factorise them."""
     return seen.factors(
-        _levels(inputs, switches), switches, inputs.plan.channels,
-        light_channels=inputs.plan.light_channels, weighting=_weighting(seen, switches),
+        gathered_levels(inputs, switches), switches, inputs.plan.channels,
+        light_channels=inputs.plan.light_channels, weighting=weighting_of(seen, switches),
         texels=texels,
     )  # fmt: skip
 
 
-def _weighting(seen: Observed, switches: AngularPreset) -> Weighting:
+def weighting_of(seen: Observed, switches: AngularPreset) -> Weighting:
     edges = switches.edges if switches.noise == "estimated" else 0.0
     return Weighting(switches.kappa(seen.unit), edges)
 
 
 def _rounding(seen: Observed, switches: AngularPreset) -> np.ndarray | None:
     """Return the rounding variance of each texel; None unless noise is estimated."""
-    return seen.rounding(_weighting(seen, switches)) if switches.noise == "estimated" else None
+    return seen.rounding(weighting_of(seen, switches)) if switches.noise == "estimated" else None
 
 
 def _posterior(
@@ -358,7 +272,7 @@ def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:
     return seen.shown if uses_saturated_samples(switches) else seen.coverage
 
 
-def _levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
+def gathered_levels(inputs: EstimatorInputs, switches: AngularPreset) -> np.ndarray:
     """Return the statistics' roughness levels: ``roughness_levels``, or the planned grid nodes."""
     nodes = inputs.grid.roughness_nodes
     if switches.noise == "estimated" and len(nodes) > 1:

@@ -27,9 +27,9 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
-from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from, shares_of
+from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from
 from svu_mi.presets import preset
-from svu_mi.reflection.roughness_levels import spline_weights
+from svu_mi.reflection.roughness_levels import level_shares, spline_weights
 
 VIEWS, FILM = 24, 72
 CLIPPED = 0.01  # part of the object's channels
@@ -153,7 +153,8 @@ def test_predictions_equal_the_model_of_the_statistics(vase):
         "metallic": [dr.full(mi.Float, metallic, len(number))],
         "base_color": [dr.full(mi.Float, color, len(number))] * 3,
     }  # fmt: skip
-    shares = shares_of(np.full(len(number), levels[level]), switches.levels)
+    shares = level_shares(np.full(len(number), levels[level]), switches.levels)
+    shares = [mi.Float(x) for x in shares.T.astype(np.float32)]
     prediction = Prediction(observed.views.scene, model, [values], [shares])
     sums = observed.statistics(levels, switches, 3, texels=number)
     expected = sums.errors(np.array([metallic]), np.array([color]))[:, level, :, 0, 0]
@@ -183,7 +184,7 @@ def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def test_predictions_interpolate_between_levels():
-    shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), 8)], axis=1)
+    shares = level_shares(np.array([0.07, 0.5, 1.0]), 8)
     near, weights = spline_weights(np.array([0.07, 0.5, 1.0]), 8)
     for row, which, counts in zip(shares, near, weights, strict=True):
         expected = np.zeros(8)
