@@ -25,7 +25,7 @@ from svu_mi.posterior.judge_prediction import judged
 from svu_mi.posterior.kept_results import pack_test, restore_test
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest
-from svu_mi.posterior.residual_patterns import Surroundings
+from svu_mi.posterior.residuals import Surroundings
 from svu_mi.presets import AngularPreset
 
 DRAWS = 8  # for intervals of predicted samples

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from svu_mi.posterior.held_out_samples import HeldOutSamples
-from svu_mi.posterior.likely_cause import clear_cause, likely_cause
+from svu_mi.posterior.likely_cause import ResidualPatterns, clear_cause, likely_cause
 from svu_mi.posterior.prediction import SIDES, HeldOutPrediction, PartPrediction
-from svu_mi.posterior.residual_patterns import ResidualPatterns, Surroundings, explained
+from svu_mi.posterior.residuals import Surroundings, explained
 
 NINETY = 1.645  # standard deviations of a 90 % interval
 

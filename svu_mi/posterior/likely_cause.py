@@ -1,4 +1,4 @@
-"""Likely cause of held-out photographs that are predicted badly (``residual_patterns``).
+"""Likely cause of held-out photographs that are predicted badly.
 
 The limits were chosen on vase, knot and spheres under window and studio, with one mistake at a
 time (``svu bench verdict``); other objects and lights report how often they are right.
@@ -6,7 +6,10 @@ time (``svu bench verdict``); other objects and lights report how often they are
 
 from __future__ import annotations
 
-from svu_mi.posterior.residual_patterns import ResidualPatterns
+from dataclasses import dataclass
+
+from svu_mi.posterior.photograph_patterns import PhotographPatterns
+from svu_mi.posterior.reflection_patterns import ReflectionPatterns
 
 GROUPS = 0.2  # least effect of two groups of photographs
 GAINS, EQUALIZED, FAIR = 0.14, 0.15, 0.6  # sd of log gains, their effect, R^2 after them
@@ -16,6 +19,11 @@ BLURRED = 0.6  # shifts of this effect look like a turning light
 STATIC, CONSISTENT = 0.2, 0.5  # part explained by a static light; R^2 of means
 ALIKE, FAR = 0.2, 1.8  # R^2 of means, and errors of the model relative to theirs
 DISPLACED, SHIFTED, FOREIGN = 0.25, 0.1, 0.4  # part explained by shifts; R^2 after them
+
+
+@dataclass(frozen=True)
+class ResidualPatterns(ReflectionPatterns, PhotographPatterns):
+    """All patterns of residuals."""
 
 
 def clear_cause(patterns: ResidualPatterns) -> str:

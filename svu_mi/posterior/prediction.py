@@ -3,7 +3,7 @@
 Posterior means without a fold of the views predict the samples of its photographs. The mean of a
 texel's other samples is a second prediction, which knows nothing of the mesh, the light and the
 material: a model that predicts no better is wrong somewhere. Errors are those of compressed
-radiance (``residual_patterns``).
+radiance (``residuals``).
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from support.helpers import unit_vectors
 from svu_mi.core.arrays import fibonacci
 from svu_mi.posterior.held_out_samples import HeldOutSamples
 from svu_mi.posterior.judge_prediction import judged
-from svu_mi.posterior.residual_patterns import Surroundings
+from svu_mi.posterior.residuals import Surroundings
 
 VIEWS, TEXELS, FOLDS = 30, 240, 6
 SUN = np.array([0.6, 0.5, 0.62])

@@ -1,0 +1,139 @@
+"""Residuals of held-out samples, and the geometry of their photographs.
+
+Radiance b is compressed to b / (b + u) with the mean radiance u, so that no highlight dominates.
+View dependence is the deviation of samples from the mean of their texel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from svu_mi.capture.mesh import unit_vectors
+from svu_mi.capture.up_direction import up_direction
+from svu_mi.geometry.packed_views import CAMERA_FLOATS
+from svu_mi.posterior.held_out_samples import HeldOutSamples
+from svu_mi.posterior.observations import Observed
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Geometry of V photographs of t texels, in a frame whose second axis points up.
+
+    Attributes:
+        frame: (3, 3) axes of the frame in world space, as columns.
+        normal: (t, 3) shading normals.
+        position: (t, 3).
+        cameras: (V, 3) positions.
+        pixel: function of view (S,), texel (S,) and shift (S, 2): radiance (S, C) there. Shifts are
+            in hundredths of the size of the image.
+    """
+
+    frame: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    cameras: np.ndarray
+    pixel: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+    @staticmethod
+    def of(observed: Observed, texels: np.ndarray) -> Surroundings:
+        """Return the geometry of texels in the used photographs."""
+        up = up_direction(observed.capture)
+        side = unit_vectors(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]))
+        frame = np.stack([side, up, np.cross(side, up)], axis=1)
+        position, normal = (
+            np.stack([x.numpy()[texels] for x in values], axis=1).astype(float)
+            for values in (observed.texels.position, observed.texels.normal)
+        )
+        views = observed.views
+        cameras = views.cameras.numpy().reshape(-1, CAMERA_FLOATS).astype(float)
+        width, height, offset = (x.numpy().astype(np.int64) for x in (
+            views.width, views.height, views.offset))  # fmt: skip
+        pixels = views.pixels.numpy().reshape(-1, 3)
+
+        def pixel(view: np.ndarray, texel: np.ndarray, shift: np.ndarray) -> np.ndarray:
+            rows = cameras[view, :12].reshape(-1, 3, 4)
+            x, y, w = np.einsum("sij,sj->is", rows[..., :3], position[texel]) + rows[..., 3].T
+            size = np.stack([width[view], height[view]], axis=1)
+            step = size.max(axis=1, keepdims=True) / 100
+            place = np.stack([x / w, y / w], axis=1) + shift * step
+            column, row = np.clip(np.floor(place).astype(np.int64), 0, size - 1).T
+            index = offset[view] + row * width[view] + column
+            return np.nan_to_num(pixels[index])
+
+        return Surroundings(
+            frame, normal @ frame, position @ frame, cameras[:, 12:15] @ frame, pixel
+        )
+
+
+def explained(values: np.ndarray, predicted: np.ndarray, whole: np.ndarray | None = None) -> float:
+    """Return 1 - |values - predicted|^2 / |whole|^2; ``whole`` is the deviation from the mean."""
+    whole = values - values.mean(axis=0) if whole is None else whole
+    return float(1 - np.square(values - predicted).sum() / max(np.square(whole).sum(), 1e-12))
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Samples and their predictions, compressed."""
+
+    samples: HeldOutSamples
+    around: Surroundings
+
+    @cached_property
+    def unit(self) -> float:
+        """Mean radiance."""
+        return float(np.average(self.samples.radiance.mean(axis=1), weights=self.samples.weight))
+
+    def compressed(self, radiance: np.ndarray) -> np.ndarray:
+        """Return radiance on [0, 1)."""
+        radiance = np.maximum(radiance, 0)
+        return np.asarray(radiance / np.maximum(radiance + self.unit, 1e-30))
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """Observed samples, compressed, (S, C)."""
+        return self.compressed(self.samples.radiance)
+
+    @cached_property
+    def predicted(self) -> np.ndarray:
+        """Predicted samples, compressed, (S, C)."""
+        return self.compressed(self.samples.predicted)
+
+    @cached_property
+    def radiance_of_means(self) -> np.ndarray:
+        """Means of the texels' samples in other folds, (S, C)."""
+        return self.samples.scaled_to_others(np.ones_like(self.samples.radiance))
+
+    @cached_property
+    def means(self) -> np.ndarray:
+        """``radiance_of_means``, compressed."""
+        return self.compressed(self.radiance_of_means)
+
+    @cached_property
+    def error(self) -> float:
+        """Part of the variance that the model leaves, 1 - R^2."""
+        return 1 - explained(self.shown, self.predicted)
+
+    @cached_property
+    def error_of_means(self) -> float:
+        """Part of the variance that ``means`` leave, 1 - R^2."""
+        return 1 - explained(self.shown, self.means)
+
+    def within(self, values: np.ndarray) -> np.ndarray:
+        """Return (S, K) values minus their mean over the samples of each texel."""
+        texel, count = self.samples.texel, np.bincount(self.samples.texel)
+        sums = np.stack([np.bincount(texel, column) for column in values.T], axis=1)
+        return np.asarray(values - (sums / np.maximum(count, 1)[:, None])[texel])
+
+    @cached_property
+    def change(self) -> np.ndarray:
+        """View dependence of the grey samples, (S,)."""
+        return self.within(self.shown.mean(axis=1, keepdims=True))[:, 0]
+
+    @cached_property
+    def missed(self) -> np.ndarray:
+        """View dependence of the grey residuals, (S,)."""
+        return self.within((self.shown - self.predicted).mean(axis=1, keepdims=True))[:, 0]
