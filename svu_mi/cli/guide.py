@@ -102,7 +102,9 @@ class Guide(EstimateCommand):
         size, model = opt.parse_resolution(self.resolution), self.estimation.model
         count = _number(self.candidates) or 0
         need = partial(Need, "guide", resolution=size, model=model, candidates=count)
-        capture, texels = self.load_with_light(progress, need, size, missing=missing)
+        capture, texels = self.load_with_light(
+            progress, need, size, self.estimation.known, missing=missing
+        )
         candidates = fixed or self._reachable(self._place_candidates(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(

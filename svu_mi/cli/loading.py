@@ -14,6 +14,7 @@ from svu_mi.cli.base_command import BaseCommand
 from svu_mi.core.memory import Need, Sizes, search_bytes
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuWarning
+from svu_mi.parameters import MIXED
 
 if TYPE_CHECKING:
     from svu_mi.calibration.light.light_options import LightOptions
@@ -116,8 +117,9 @@ class LitCommand(CaptureCommand):
     kept: opt.CacheOptions = opt.CacheOptions()
 
     def load_with_light(
-        self, progress: Progress, need: NeedFunc, size: tuple[int, int], **options: Any
-    ) -> tuple[Capture, Texels]:
+        self, progress: Progress, need: NeedFunc, size: tuple[int, int],
+        known: opt.Known = (), **options: Any,
+    ) -> tuple[Capture, Texels]:  # fmt: skip
         """Load the capture with the given light, its own, or an estimated one, and its cache."""
         from svu_mi.calibration.light.resolve_light import with_resolved_light
 
@@ -125,8 +127,9 @@ class LitCommand(CaptureCommand):
         capture, grid = self.load(progress, need, size, **options)
         gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
         lit = with_resolved_light(
-            capture, self.light, elsewhere=folder, gains=gains, progress=progress
-        )
+            capture, self.light, elsewhere=folder, gains=gains, progress=progress,
+            known=opt.known_values(known, capture.shape, MIXED),
+        )  # fmt: skip
         return self.kept.of(lit, progress), grid
 
     def check(self) -> None:
@@ -157,7 +160,7 @@ class EstimateCommand(LitCommand):
         from svu_mi.output.texture_files import require_textures_of
 
         need = partial(Need, command, resolution=size, model=self.estimation.model)
-        capture, grid = self.load_with_light(progress, need, size)
+        capture, grid = self.load_with_light(progress, need, size, self.estimation.known)
         if recovered is not None:
             capture = require_textures_of(capture, recovered)
         estimate = self.estimation.estimate(progress, capture, grid, **options)

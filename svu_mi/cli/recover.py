@@ -123,7 +123,7 @@ class Recover(LitCommand, ResultCommand):
         options = self._options()  # fail before any work
         size = opt.parse_resolution(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
-        capture, texels = self.load_with_light(progress, need, size, again=self.resume)
+        capture, texels = self.load_with_light(progress, need, size, self.known, again=self.resume)
         _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
         # Losses of the paper are combined with the posterior of its model.

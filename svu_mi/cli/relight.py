@@ -16,6 +16,7 @@ from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
@@ -36,7 +37,7 @@ class Relight(CaptureCommand, ResultCommand):
     """
 
     command = "relight"
-    first = "scene recovered output environment sensors views side spp overwrite"
+    first = "scene recovered output environment sensors views known side spp overwrite"
     output: opt.Output = Path("out/relit")
     recovered: From
     """Folder written by svu recover --draws N."""
@@ -47,6 +48,7 @@ class Relight(CaptureCommand, ResultCommand):
     photographs, see --views)."""
     views: int = 3
     """Without --sensors: number of photographs whose poses are used, far apart; at least 1."""
+    known: opt.Known = ()
     side: int = 512
     """Maximum of the longer side of an image in pixels, in [1, 8192]; larger films are reduced."""
     spp: int = 16
@@ -58,6 +60,7 @@ class Relight(CaptureCommand, ResultCommand):
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
         super().check()
+        opt.parse_known(self.known)
         opt.require_range("--side", self.side, 1, MOST_PIXELS)
         opt.require_range("--views", self.views, 1)
         opt.require_range("--seed", self.seed, 0)
@@ -89,10 +92,12 @@ class Relight(CaptureCommand, ResultCommand):
                 "--environment."
             )
         sensors, names = self._sensors(capture)
+        known = opt.known_values(self.known, capture.shape, NAMES)
+        draws = (draw.with_constant(known) for draw in read_draws(files))
         with progress.stage("Rendering draws", len(files)) as stage:
             relit = relight_draws(
-                capture, textures, read_draws(files), None, sensors, self.spp, seed=self.seed,
-                progress=lambda done: stage.update(done, len(files)),
+                capture, textures.with_constant(known), draws, None, sensors, self.spp,
+                seed=self.seed, progress=lambda done: stage.update(done, len(files)),
             )  # fmt: skip
         with progress.stage("Writing the results"):
             run = self.run_info(progress)

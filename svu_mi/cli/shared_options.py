@@ -283,12 +283,22 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
             ) from None
     if len(known) < len(words):
         raise OptionError(f"--known must name each parameter once, got {', '.join(words)}.")
-    for name in known:
+    for name, number in known.items():
         if name not in (*NAMES, SPECULAR):
             raise OptionError(
                 f"--known: unknown parameter {name!r}; use {', '.join(NAMES[:-1])} or {NAMES[-1]}."
             )
+        require_range(f"--known: {name}", number, 0, 1)
     return known or None
+
+
+def known_values(words: tuple[str, ...], shape: Any, names: Sequence[str]) -> dict[str, float]:
+    """Return the values of ``--known`` by parameter, those of ``names``."""
+    from svu_mi.capture.replace_material import constant_parameters
+
+    known = parse_known(words) or {}
+    values = constant_parameters(shape) if known == "scene" else known
+    return {name: value for name, value in values.items() if name in names}
 
 
 def read_recovered(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -50,6 +51,11 @@ class Textures(ByParameter):
         """Width and height in texels."""
         height, width = tuple(self.base_color.shape)[:2]
         return width, height
+
+    def with_constant(self, values: Mapping[str, float]) -> Textures:
+        """Return the textures with some parameters replaced by constants, by name."""
+        new = {n: dr.full(mi.TensorXf, x, tuple(self[n].shape)) for n, x in values.items()}
+        return Textures(**{**dict(self.items()), **new})
 
     def require_resolution(self, texels: Texels) -> None:
         """Raise a ShapeError if the resolution differs from the texels'."""

@@ -163,6 +163,28 @@ def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
     assert first["written"]["capture"] == second["written"]["capture"]
 
 
+@COARSE
+def test_it_is_estimated_with_what_is_known(dark, tmp_path, capsys, monkeypatch):
+    """A light that was estimated without the known value is not reused."""
+    asked = []
+
+    def estimate(capture, grid, options, *_):
+        asked.append(dict(options.known))
+        return made_up_light()
+
+    monkeypatch.setattr(resolve_light, "estimate_light", estimate)
+    lit(dark)
+    assert entropy(dark, tmp_path / "a", "--known", "metallic=0", "roughness=0.5") == 0
+    said = capsys.readouterr().out
+    assert "not used, as it was estimated without --known metallic=0." in said
+    lit(dark)  # more is known of the kept one
+    recover = ("recover", dark, "--resolution", 16, "--steps", 2, "--no-pictures")
+    assert run(*recover, "--known", "metallic=1", "-o", tmp_path / "b") == 0
+    assert asked == [{}, {"metallic": 0.0}, {"metallic": 1.0}]
+    relight = ("relight", dark, "--recovered", tmp_path / "b", "--known", "metallic=2")
+    assert "--known: metallic must be in [0, 1], got 2." in fails(capsys, *relight)
+
+
 @pytest.mark.few(1)
 @pytest.mark.parametrize("spread", [0.2, 0.03])
 def test_exposures_that_nobody_recorded_are_estimated_if_they_differ(dark, monkeypatch, spread):

@@ -264,8 +264,12 @@ def test_draws_are_written_and_a_picture_says_how_sure_it_is(shot, tmp_path, cap
     record = json.loads((out / "run.json").read_text())
     assert record["settings"]["draws"] == 3
     light = scenes.FOLDER / "lights" / "studio.exr"
-    assert run(*words, "--environment", light, "--no-pictures", "-o", tmp_path / "other") == 0
+    constant = ("--known", "metallic=0", "roughness=0.5", "base_color=0.25")
+    words = (*words, *constant, "--environment", light, "--no-pictures")
+    assert run(*words, "-o", tmp_path / "other") == 0
     assert "relight.png" not in names(tmp_path / "other")
+    shown = read_exr(tmp_path / "other" / next(name for name in views if name.endswith(".exr")))
+    assert shown["sd.R"].max() == 0 and shown["R"].max() > 0  # the draws differ in nothing else
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import svu_mi
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.core.io.exr import write_exr
-from svu_mi.core.io.files import refusing, write_json
+from svu_mi.core.io.files import read_json, refusing, write_json
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.core.io.output_folder import Draft, writing
@@ -116,6 +116,15 @@ def photographs_of(path: str | Path) -> str:
     """Return the ``photographs_key`` of the light in a folder; empty if unknown."""
     entry = entry_of(Path(path) / RECORD, COMMAND)
     return "" if entry is None else entry.capture
+
+
+def known_in(path: str | Path) -> dict[str, float]:
+    """Return the parameters that were known to the estimate in a folder; empty if not recorded."""
+    try:
+        known = read_json(Path(path) / RECORD)["settings"]["used"]["known"]
+    except (CaptureError, LookupError, TypeError):
+        return {}
+    return known if isinstance(known, dict) else {}
 
 
 def load_light(path: str | Path) -> LightEstimate:

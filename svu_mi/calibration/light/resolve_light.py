@@ -1,11 +1,13 @@
 """Light of a capture: its own, a given one, or a cached estimate from the photographs.
 
 An estimate is cached in the folder ``light`` of the capture (``light-gains`` if gains were
-estimated too). It is reused while the photographs are unchanged, for any options and version.
+estimated too). It is reused while the photographs are unchanged, for any options and version,
+unless a value of metallic is known that the estimate lacked.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,13 @@ import numpy as np
 from svu_mi.calibration.exposure import equalized, estimate_gains
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
-from svu_mi.calibration.light.light_folder import RECORD, load_light, photographs_of, save_light
+from svu_mi.calibration.light.light_folder import (
+    RECORD,
+    known_in,
+    load_light,
+    photographs_of,
+    save_light,
+)
 from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.calibration.light.light_summary import (
     gain_sentences,
@@ -94,6 +102,7 @@ def with_resolved_light(
     *,
     elsewhere: Path | None = None,
     gains: bool | None = False,
+    known: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Capture:
     """Return the capture with a light: the given one, its own, or an estimate.
@@ -106,10 +115,11 @@ def with_resolved_light(
         gains: Estimate gains of the photographs, divide by them, and exclude outliers. None does
             so if the light is estimated, exposures are not recorded, and gains differ. Gains that
             were estimated together with ``given`` are reused.
+        known: Known value of metallic, for an estimate of the light (``LightOptions.known``).
         progress: Display of the progress.
     """
     progress = progress or Progress()
-    lit, estimates = _resolved(capture, given, elsewhere, gains, progress)
+    lit, estimates = _resolved(capture, given, elsewhere, gains, progress, known)
     if estimates is None:
         return lit
     for sentence in gain_sentences(estimates, capture):
@@ -135,13 +145,14 @@ def _resolved(
     elsewhere: Path | None,
     gains: bool | None,
     progress: Progress,
+    known: Mapping[str, float] | None = None,
 ) -> tuple[Capture, FoundGains | None]:
     """Return the capture with a light, and gains if available or requested."""
     lit, factors = capture, None
     if given is not None:
         lit, factors = _under_given(capture, given, progress)
     elif capture.environment is None:
-        light = _estimated(capture, elsewhere, gains, progress)
+        light = _estimated(capture, elsewhere, gains, known or {}, progress)
         lit, factors = with_light(capture, light), light.gains
     if gains and factors is None:
         factors = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
@@ -149,8 +160,9 @@ def _resolved(
 
 
 def _estimated(
-    capture: Capture, elsewhere: Path | None, gains: bool | None, progress: Progress
-) -> LightEstimate:
+    capture: Capture, elsewhere: Path | None, gains: bool | None, known: Mapping[str, float],
+    progress: Progress,
+) -> LightEstimate:  # fmt: skip
     """Return the light estimated from photographs, from the cache if possible."""
     places = {kind: _folders(capture, elsewhere, kind) for kind in (WITH_GAINS, "")}
     unknown = gains is None and not capture.exposures_known
@@ -158,10 +170,10 @@ def _estimated(
     kept = [
         place for kind in places for place in places[kind] if unknown or bool(kind) == bool(gains)
     ]
-    light = _load_kept(kept, key, progress)
+    light = _load_kept(kept, key, known, progress)
     if light is None:
         progress.say("The capture has no light; estimating it from the photographs.")
-        options = replace(OPTIONS, gains=bool(gains or unknown))
+        options = replace(OPTIONS, gains=bool(gains or unknown), known=known)
         light = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
         if unknown:
             light, sentence = with_needed_gains(light)
@@ -226,13 +238,19 @@ def _under_given(
     return with_given, None
 
 
-def _load_kept(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
-    """Return the cached light of photographs with this key, or None."""
+def _load_kept(
+    places: list[Path], key: str, known: Mapping[str, float], progress: Progress
+) -> LightEstimate | None:
+    """Return the cached light of photographs with this key and known parameters, or None."""
     for place in places:
         if not (place / RECORD).is_file():
             continue
         if photographs_of(place) != key:
             progress.say(f"{place}: not used, as it was estimated from other photographs.")
+            continue
+        if not known.items() <= known_in(place).items():
+            words = " ".join(f"{name}={value:g}" for name, value in known.items())
+            progress.say(f"{place}: not used, as it was estimated without --known {words}.")
             continue
         try:
             light = load_light(place)
