@@ -158,8 +158,8 @@ def chart_coverage(mesh: Any) -> float:
 
 
 def mesh_error(error: Exception) -> str:
-    """Return Mitsuba's reason for rejecting a mesh file."""
-    text = " ".join(str(error).split()).split('plugin of type "', 1)[-1].split('": ', 1)[-1]
+    """Return Mitsuba's reason for rejecting a mesh file, without the file's name."""
+    text = " ".join(str(error).split()).rsplit('": ', 1)[-1]
     return excerpt(re.sub(r"\[\w+(\.\w+:\d+)?\] ", "", text)).rstrip(".!")
 
 

@@ -25,7 +25,7 @@ from svu_mi.core.io.schema import LARGEST
 from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
-LONGEST = 400  # characters of Mitsuba's messages
+LONGEST = 240  # characters of Mitsuba's messages
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
 TRACE = re.compile(r"Traceback \(most recent call last\):\n(?:  .*\n)*(?:\w+: )?")  # of a plugin
 RESERVED = frozenset(("config", "filename"))  # other arguments of mi.parser.parse_file

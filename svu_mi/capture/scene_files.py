@@ -30,7 +30,7 @@ LARGEST_XML = 1 << 26  # bytes of a file
 LONGEST_VALUE = 1 << 16  # characters of an attribute after substitution of $parameters
 FILLED_PER_FILE = 1 << 24  # characters of all these attributes of a file
 MOST_PARAMETERS = 1000
-LONGEST = 300  # characters of a path in messages
+LONGEST = 240  # characters of a path in messages
 READERS = ("ply", "serialized", "obj")  # shape plugins that read meshes from files
 KEYS = ("filename", "shape_index")  # properties that select the mesh
 CORNERS = 12  # bytes of a vertex or triangle of a serialized mesh, at least
@@ -47,7 +47,8 @@ def check_xml(path: Path, defines: Mapping[str, str]) -> None:
             continue
         require_file(file, path)
         seen.add(file)
-        reader = _Reader(file, parameters)
+        label = str(path) if file == path else f"{path}: {excerpt(file, LONGEST)}"
+        reader = _Reader(file, label, parameters)
         sensors += reader.sensors
         for name in reader.others:
             require_file(_resolve(name, file), path)
@@ -78,12 +79,12 @@ class _Reader:
         sensors: Number of sensors.
     """
 
-    def __init__(self, path: Path, parameters: dict[str, str]) -> None:
+    def __init__(self, path: Path, label: str, parameters: dict[str, str]) -> None:
         """Parse a file, and add its ``<default>`` values to ``parameters``."""
         self.includes: list[str] = []
         self.others: list[str] = []
         self.sensors = 0
-        self._path, self._parameters, self._depth, self._letters = path, parameters, 0, 0
+        self._label, self._parameters, self._depth, self._letters = label, parameters, 0, 0
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
         try:
@@ -95,12 +96,10 @@ class _Reader:
             self._parser.Parse(path.read_bytes(), True)
         except expat.ExpatError as error:
             raise SceneError(
-                f"{excerpt(path, LONGEST)}: not well-formed XML ({error}); correct it there."
+                f"{label}: not well-formed XML ({error}); correct it there."
             ) from error
         except OSError as error:
-            raise SceneError(
-                f"{excerpt(path, LONGEST)}: cannot be read ({error.strerror})."
-            ) from error
+            raise SceneError(f"{label}: cannot be read ({error.strerror}).") from error
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._depth += 1
@@ -142,7 +141,7 @@ class _Reader:
     def _error(self, problem: str, remedy: str) -> SceneError:
         """Return an error with the file and the current line."""
         line = self._parser.CurrentLineNumber
-        return SceneError(f"{excerpt(self._path, LONGEST)}: {problem} at line {line}; {remedy}.")
+        return SceneError(f"{self._label}: {problem} at line {line}; {remedy}.")
 
 
 def check_files(state: Any, label: str) -> None:
@@ -191,9 +190,8 @@ def _check_mesh(settings: dict[str, Any], label: str) -> None:
             _check_ply(_path(settings["filename"]))
         mesh: Any = mi.load_dict({**settings, "face_normals": True})
     except (OSError, ValueError, struct.error, zlib.error, *READING) as error:
-        raise SceneError(
-            f"{label}: cannot be read: {mesh_error(error)}; export the mesh again."
-        ) from error
+        reason = getattr(error, "strerror", None) or mesh_error(error)
+        raise SceneError(f"{label}: cannot be read: {reason}; export the mesh again.") from error
     if problem := missing_corner(mesh):
         raise SceneError(f"{label}: {problem}; export the mesh again.")
 

@@ -273,6 +273,23 @@ def test_time_grows_with_the_length_of_an_attribute(tmp_path):
     assert seconds(1 << 24) < 32 * max(seconds(1 << 21), 0.01)
 
 
+def test_a_message_about_another_file_names_the_scene_first(tmp_path):
+    path = write_scene(tmp_path, extra='<include filename="/etc/passwd"/>')
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert str(caught.value).startswith(f"{path}: /etc/passwd: not well-formed XML (")
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj", "serialized"])
+def test_a_long_name_of_a_mesh_does_not_hide_the_reason(tmp_path, kind):
+    named = f'<string name="filename" value="{"x" * 300}"/>'
+    path = write_scene(tmp_path, extra=f'<shape type="{kind}">{named}</shape>')
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert str(caught.value).startswith(f"{path}: {'x' * 240}...: cannot be read: ")
+    assert str(caught.value).count("xx") == 120, caught.value
+
+
 def test_large_xml_is_refused_unread(tmp_path):
     path = write_scene(tmp_path)
     os.truncate(path, 1 << 40)  # a hole
