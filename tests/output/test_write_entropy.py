@@ -127,6 +127,13 @@ def test_a_picture_shows_the_object_where_the_photograph_does(vase):
     assert top * 36 <= rows.min() and rows.max() < bottom * 36
 
 
+def test_the_window_is_centred_on_the_object():
+    alpha = np.zeros((10, 20))
+    alpha[3:7, 4:8] = 1
+    left, right, top, bottom = object_views.object_window(alpha)
+    assert left + right == pytest.approx(2 * 6 / 20) and top + bottom == pytest.approx(2 * 5 / 10)
+
+
 def test_tone_mapping_exposes_for_the_object():
     photograph = np.full((10, 10, 3), 100.0, np.float32)
     photograph[2:5, 2:5] = 4.0

@@ -12,6 +12,7 @@ import svu_mi as svu
 from svu_mi import pipeline
 from svu_mi.pipeline import materialized
 from svu_mi.posterior import calibrated, estimators
+from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.recovery.uncertainty.texture_field import texture_field
 
@@ -159,3 +160,10 @@ def test_too_many_statistics_are_refused_before_gathering(vase, tiled, monkeypat
 
     with pytest.raises(svu.SvuError, match="at most 1000 are possible: lower the resolution"):
         tiled(vase.capture, vase.texels, do=asked, whole=True)
+
+
+def test_noise_of_each_tile_is_at_least_the_rounding_of_its_texels(vase, tiled, monkeypatch):
+    monkeypatch.setattr(Observed, "rounding", lambda seen, _: np.square(seen.seen + 1.0))
+    apart = tiled(vase.capture, vase.texels, whole=True)
+    seen = np.flatnonzero(apart.observed.coverage)
+    np.testing.assert_array_less(seen + 0.99, apart.posterior.kernel.noise_of(seen))

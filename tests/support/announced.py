@@ -27,12 +27,15 @@ from svu_mi.core.io.exr import write_exr
 
 SIZES = ((64, 96), (192, 256), (384, 600))  # pixels and texels per side
 COMMANDS = ("render", "import", "export", "check", "entropy", "guide", "report", "compare",
-            "recover", "relight", "light")  # fmt: skip
+            "recover", "relight", "inpaint", "view", "light")  # fmt: skip
 RUN = """
 import sys, resource
 if sys.argv[1] != "0":
     resource.setrlimit(resource.RLIMIT_AS, (int(float(sys.argv[1])), -1))
 from svu_mi.cli.main import main
+if sys.argv[2] == "view":
+    from svu_mi.output.viewer.viewer import Viewer
+    Viewer.run = Viewer.stop  # else it serves until Ctrl-C
 status = main(sys.argv[2:])
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print("PEAK", int(peak.split()[1]) * 1024)
@@ -46,7 +49,8 @@ def words(command: str, shot: Path, folder: Path, resolution: int) -> tuple[obje
     size = () if command == "check" else ("--resolution", resolution)
     captures = (shot, shot) if command == "compare" else (shot,)
     brief = {"recover": ("--steps", 5), "light": ("--depths", 256, 1, "--light-fixed")}
-    return command, *captures, *size, *brief.get(command, ()), "-o", output
+    end = ("--port", 0) if command == "view" else ("-o", output)
+    return command, *captures, *size, *brief.get(command, ()), *end
 
 
 def prepared(command: str, folder: Path, side: int) -> tuple[object, ...]:
@@ -97,9 +101,9 @@ def main() -> int:
                 place.mkdir()
                 if command in ("render", "import", "export"):
                     line = prepared(command, place, 4 * pixels)
-                elif command == "relight":
+                elif command in ("relight", "inpaint"):
                     announced_and_taken(*words("recover", shot, place, texels), "--draws", 4)
-                    line = command, shot, "--recovered", place / "out", "-o", place / "relit"
+                    line = command, shot, "--recovered", place / "out", "-o", place / "again"
                 else:
                     line = words(command, shot, place, texels)
                 announced, peak = announced_and_taken(*line)
