@@ -25,7 +25,7 @@ test-all: lint
 
 lint: .venv/installed-test
 	$(PY) -m ruff check .
-	$(PY) -m mypy
+	$(PY) -m mypy --num-workers 2
 	@$(PY) tests/support/prose.py
 
 docs: .venv/installed-docs

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
+from support import quick_kernels
 from support.browser import Browser
 
 import svu_mi  # noqa: F401
@@ -22,6 +23,7 @@ os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
 # Read when NumPy is first imported, which for the workers of -n is later than this: its threads
 # spin while they wait, on cores that the other worker needs.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+quick_kernels.use()
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m is looked at

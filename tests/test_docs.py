@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import os
 import re
 import subprocess
 import sys
@@ -16,8 +17,10 @@ pytestmark = pytest.mark.slow
 def sphinx(root, folder, *words):
     """Run Sphinx as ``make docs`` does, and return what it prints."""
     run = subprocess.run(
-        [sys.executable, "-m", "sphinx", *words, "--quiet", "--conf-dir", "notebooks", ".", folder],
-        cwd=root, capture_output=True, text=True, check=False,
+        [sys.executable, "-m", "support.quick_kernels", "sphinx", *words,
+         "--quiet", "--conf-dir", "notebooks", ".", folder],
+        cwd=root, env={**os.environ, "PYTHONPATH": str(root / "tests")}, capture_output=True,
+        text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 0 and not run.stderr, run.stderr
     return run.stdout

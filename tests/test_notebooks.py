@@ -17,11 +17,15 @@ FOLDER = Path(__file__).parent.parent / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"), key=lambda path: path.name)
 MAX_BYTES = 1_500_000  # a clone pays for every picture of every version
 SECONDS = 300  # for one cell; the whole takes some 15 s, most of it compiling kernels
-SHORT = """
+SHORT = f"""
+import sys
+sys.path.append({str(FOLDER.parent / "tests")!r})
+from support import quick_kernels
+quick_kernels.use()
 from dataclasses import replace
 from svu_mi.recovery.recovery_options import SH_PRESETS
 for name, options in SH_PRESETS.items():
-    few = {part: replace(getattr(options, part), steps=10) for part in ("smoothing", "descent")}
+    few = {{part: replace(getattr(options, part), steps=10) for part in ("smoothing", "descent")}}
     SH_PRESETS[name] = replace(options, **few)
 """
 # What absolute paths of a machine begin with, on Linux, macOS and Windows.

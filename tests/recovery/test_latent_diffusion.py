@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,11 +23,6 @@ from svu_mi.recovery.inpaint.diffusion.latent_diffusion import LatentDiffusion
 from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
 from svu_mi.recovery.inpaint.diffusion.model_interface import FAMILIES, ModelInput
 
-REASON = "the extra diffusion is not installed"
-torch = pytest.importorskip("torch", reason=REASON)
-for other in ("diffusers", "transformers"):
-    pytest.importorskip(other, reason=REASON)
-
 pytestmark = pytest.mark.slow
 MARIGOLD, RGBX = FAMILIES
 
@@ -34,6 +30,11 @@ MARIGOLD, RGBX = FAMILIES
 @pytest.fixture(scope="module", autouse=True)
 def _one_thread() -> Iterator[None]:
     """Use one thread: tiny layers do not profit from more."""
+    # Here, since collecting the other tests does not need the seconds that these imports take.
+    for name in ("torch", "diffusers", "transformers"):
+        pytest.importorskip(name, reason="the extra diffusion is not installed")
+    import torch
+
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -67,27 +68,31 @@ def picture(height: int = 45, width: int = 60) -> ModelInput:
 class Identity:
     """An autoencoder that only halves the resolution, so that certain pixels can be compared."""
 
-    dtype = torch.float32
     config = SimpleNamespace(scaling_factor=0.5, block_out_channels=(1, 1), latent_channels=3)
 
-    def encode(self, image: torch.Tensor) -> SimpleNamespace:
-        half = torch.nn.functional.avg_pool2d(image, 2)
+    def __init__(self) -> None:
+        import torch
+
+        self.dtype, self.functions = torch.float32, torch.nn.functional
+
+    def encode(self, image: Any) -> SimpleNamespace:
+        half = self.functions.avg_pool2d(image, 2)
         return SimpleNamespace(latent_dist=SimpleNamespace(mode=lambda: half))
 
-    def decode(self, latent: torch.Tensor, **_: bool) -> tuple[torch.Tensor]:
-        return (torch.nn.functional.interpolate(latent, scale_factor=2),)
+    def decode(self, latent: Any, **_: bool) -> tuple[Any]:
+        return (self.functions.interpolate(latent, scale_factor=2),)
 
 
 class Recording:
     """A U-Net with constant output that records its inputs."""
 
     def __init__(self) -> None:
-        self.given: list[tuple[torch.Tensor, float, tuple[int, ...]]] = []
+        self.given: list[tuple[Any, float, tuple[int, ...]]] = []
 
     def __call__(self, latents, time, encoder_hidden_states, **_):
         self.given.append((latents, float(time), tuple(encoder_hidden_states.shape)))
         rest = latents.shape[1] - 3
-        return (0.1 * torch.ones_like(latents[:, :rest]),)
+        return (0 * latents[:, :rest] + 0.1,)
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -200,6 +205,8 @@ def test_broken_folders_are_refused(folders, tmp_path, spoil: str, sentence: str
         weights.write_bytes(weights.read_bytes()[:1000])
     if spoil == "pickled":
         (folder / "vae" / "diffusion_pytorch_model.safetensors").unlink()
+        import torch
+
         torch.save({}, folder / "vae" / "diffusion_pytorch_model.bin")
     if spoil in ("tokenizer", "scheduler"):
         shutil.rmtree(folder / spoil)
@@ -217,6 +224,7 @@ def test_missing_device_is_refused(folders) -> None:
 
 def test_without_certain_pixels_it_equals_diffusers(folders) -> None:
     """The published loop of Marigold gives the same maps from the same noise."""
+    import torch
     from diffusers import MarigoldIntrinsicsPipeline
 
     model = load_model(folders[MARIGOLD], "cpu")

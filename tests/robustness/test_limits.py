@@ -240,29 +240,31 @@ MANY = 10_001  # poses; 10 000 are supported
 CAMERA = struct.pack("<IiQQ4d", 1, 1, 16, 8, 20, 20, 8, 4)
 IMAGE = struct.pack("<I7dI", 1, 1, 0, 0, 0, 0, 0, 3, 1) + b"a.png\0" + struct.pack("<Q", 0)
 POSES = {
-    "colmap images": {
+    "colmap images": lambda: {
         "cameras.bin": struct.pack("<Q", 1) + CAMERA,
         "images.bin": struct.pack("<Q", MANY) + IMAGE * MANY,
     },
-    "colmap cameras": {"cameras.bin": struct.pack("<Q", MANY) + CAMERA * MANY, "images.bin": b""},
-    "colmap text images": {
+    "colmap cameras": lambda: {
+        "cameras.bin": struct.pack("<Q", MANY) + CAMERA * MANY, "images.bin": b"",
+    },
+    "colmap text images": lambda: {
         "cameras.txt": b"1 PINHOLE 16 8 20 20 8 4\n",
         "images.txt": b"1 1 0 0 0 0 0 3 1 a.png\n\n" * MANY,
     },
-    "colmap text cameras": {
+    "colmap text cameras": lambda: {
         "cameras.txt": b"".join(b"%d PINHOLE 16 8 20 20 8 4\n" % k for k in range(MANY)),
         "images.txt": b"",
     },
-    "llff": {"poses_bounds.npy": npy(np.zeros((MANY, 17)))},
-    "idr": {"cameras.npz": npz({f"world_mat_{k}": np.zeros(1) for k in range(2 * MANY)})},
-    "owl": {"exposure.txt": b"0", **{f"camera_{k:05d}.txt": b"" for k in range(MANY)}},
-    "transforms": {"transforms.json": b'{"frames": [%s{}]}' % (b"{}," * (MANY - 1))},
+    "llff": lambda: {"poses_bounds.npy": npy(np.zeros((MANY, 17)))},
+    "idr": lambda: {"cameras.npz": npz({f"world_mat_{k}": np.zeros(1) for k in range(2 * MANY)})},
+    "owl": lambda: {"exposure.txt": b"0", **{f"camera_{k:05d}.txt": b"" for k in range(MANY)}},
+    "transforms": lambda: {"transforms.json": b'{"frames": [%s{}]}' % (b"{}," * (MANY - 1))},
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", POSES)
 def test_too_many_poses_are_refused_before_the_first_is_used(tmp_path, kind):
-    for name, data in POSES[kind].items():
+    for name, data in POSES[kind]().items():
         (tmp_path / name).write_bytes(data)
     start = time.process_time()
     with pytest.raises(
