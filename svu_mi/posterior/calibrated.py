@@ -425,13 +425,9 @@ def fit(
 ) -> CalibratedFit:
     """Estimate the noise s of S texels from their residuals, and integrate their posteriors."""
     factors = problem.factors
-    # Opaque: with a literal, Dr.Jit would compile another kernel for each capture.
-    unit = dr.opaque(mi.Float, 1 / scale, factors.count)
-    rest = np.array(kernel.min_energy(replace(problem, scale=unit)), np.float64)  # over unit^2
-    unexplained, weight = factors.residuals()
-    both = 2 * rest + problem.copies * unexplained / scale**2
+    rest, residual, weight = _residuals(problem, scale)
     variance = noise_variance(
-        weight * both, np.array(factors.views, np.float64), factors.channels * problem.copies,
+        residual, np.array(factors.views, np.float64), factors.channels * problem.copies,
         switches.degrees, switches.assumed,
         None if rounding is None else rounding / scale**2,
     )  # fmt: skip
@@ -445,6 +441,33 @@ def fit(
         problem = replace(problem, min_energy=problem.min_energy + above)
         dr.eval(problem.min_energy)
     return CalibratedFit(problem, scale * np.sqrt(variance), kernel.summarize(problem))
+
+
+def _residuals(
+    problem: CalibratedProblem, scale: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return least energy and Q_min over ``scale``^2, and weight of S texels, (S,) float64."""
+    # Opaque: with a literal, Dr.Jit would compile another kernel for each capture.
+    unit = dr.opaque(mi.Float, 1 / scale, problem.factors.count)
+    rest = np.array(kernel.min_energy(replace(problem, scale=unit)), np.float64)
+    unexplained, weight = problem.factors.residuals()
+    return rest, weight * (2 * rest + problem.copies * unexplained / scale**2), weight
+
+
+def noise_of_parts(
+    statistics: Statistics, grid: PrincipledGrid, scale: float, switches: AngularPreset, parts: int
+) -> np.ndarray:
+    """Return the noise (P, S / P) of parts of the texels, which do not affect each other."""
+    factors = statistics.factor()
+    problem = problem_of(factors, grid, scale, switches, None, 1)
+    of_parts = (np.split(x, parts) for x in (_residuals(problem, scale)[1], factors.views.numpy()))
+    variance = [
+        noise_variance(
+            residual, views.astype(np.float64), factors.channels, switches.degrees, switches.assumed
+        )
+        for residual, views in zip(*of_parts, strict=True)
+    ]
+    return np.asarray(scale * np.sqrt(variance))
 
 
 def prior_tables(problem: CalibratedProblem) -> np.ndarray:

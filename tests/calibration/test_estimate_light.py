@@ -276,11 +276,20 @@ def test_sums_of_dimmer_light_are_those_of_its_columns():
     samples, x = photographed(12, 8, 64, noise=0.05)
     columns = columns_of(Transport.of(samples, 64), np.exp(x), SWITCHES)
     dimmed = Columns(*(0.6 * part for part in columns))
-    first = SampleMoments.of(samples, columns).posterior(SWITCHES, 0.6)
+    moments, colored = SampleMoments.of(samples, columns), np.array([1.0, 0.5, 2.0])
+    first = moments.posterior(SWITCHES, 0.6)
     second = SampleMoments.of(samples, dimmed).posterior(SWITCHES)
     np.testing.assert_allclose(first.kernel.noise, second.kernel.noise, rtol=1e-4)
     for one, other in zip(materials_of(first), materials_of(second), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
+    # Several factors at once; the noise of a texel depends on the others under the same light.
+    noise = [moments.posterior(SWITCHES, f).kernel.noise for f in (colored, 1.0)] + [
+        first.kernel.noise
+    ]
+    factors = np.stack([colored, np.ones(3), np.full(3, 0.6)])
+    together = moments.noise(SWITCHES, factors)
+    expected = np.exp(np.log(noise).mean(axis=1)) / samples.unit
+    np.testing.assert_allclose(together, expected, rtol=1e-6)
 
 
 def test_light_that_is_twice_as_bright_is_found_out():

@@ -20,7 +20,7 @@ from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import fold
 from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
+from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior, noise_of_parts
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
@@ -256,19 +256,33 @@ class SampleMoments:
         self, switches: AngularPreset, factor: np.ndarray | float = 1.0
     ) -> Posterior[CalibratedKernel]:
         """Return the posterior under the light times ``factor``, scalar or (3,)."""
-        samples, unit = self.samples, np.eye(len(self.table))[..., None]
-        e, p, q, d, observed = (row * np.ones(3) for row in unit)
-        mixed = columns(factor * e, factor * p, factor * q, factor * d, observed)
+        statistics = self._statistics(switches, np.broadcast_to(factor, (1, 3)))
+        return calibrated_posterior(statistics, self.samples.grid, self.samples.unit, switches)
+
+    def noise(self, switches: AngularPreset, factors: np.ndarray) -> np.ndarray:
+        """Return geometric means (F,) of the noise of texels over their unit, with ``factors``.
+
+        ``factors`` (F, 3) multiply the light. All are computed at once, and nothing is integrated.
+        """
+        samples, statistics = self.samples, self._statistics(switches, factors)
+        noise = noise_of_parts(statistics, samples.grid, samples.unit, switches, len(factors))
+        return np.asarray(np.exp(np.log(noise).mean(axis=1)) / samples.unit)
+
+    def _statistics(self, switches: AngularPreset, factors: np.ndarray) -> Statistics:
+        """Return statistics of F n texels, under the light times each of ``factors`` (F, 3)."""
+        samples, unit = self.samples, np.eye(len(self.table))[:, None, :, None]
+        e, p, q, d = (factors[:, None] * row for row in unit[:-1])
+        mixed = columns(e, p, q, d, unit[-1] * np.ones_like(e))
         table = np.stack(
-            [np.einsum("ic,jc,ijnkc->nkc", mixed[i], mixed[j], self.table, optimize=True)
+            [np.einsum("fic,fjc,ijnkc->fnkc", mixed[i], mixed[j], self.table, optimize=True)
              for i, j in PAIRS]
         )  # fmt: skip
-        statistics = Statistics.of(
-            table.transpose(2, 3, 0, 1), samples.sum(samples.weight),
-            np.bincount(samples.owner[samples.weight > 0], minlength=samples.texels),
+        views = np.bincount(samples.owner[samples.weight > 0], minlength=samples.texels)
+        return Statistics.of(
+            table.reshape(len(PAIRS), -1, *table.shape[3:]).transpose(2, 3, 0, 1),
+            np.tile(samples.sum(samples.weight), len(factors)), np.tile(views, len(factors)),
             roughness_levels(switches.levels), samples.kappa,
         )  # fmt: skip
-        return calibrated_posterior(statistics, samples.grid, samples.unit, switches)
 
 
 def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
@@ -284,11 +298,6 @@ def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
 def misfit_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
     """Return the median noise of the texels, relative to radiance ``unit``."""
     return float(np.median(posterior.kernel.noise)) / unit
-
-
-def noise_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
-    """Return the geometric mean of the noise of the texels, relative to radiance ``unit``."""
-    return float(np.exp(np.log(posterior.kernel.noise).mean())) / unit
 
 
 def annealed(switches: AngularPreset, factor: float) -> AngularPreset:

@@ -31,7 +31,6 @@ from svu_mi.calibration.light.light_transport import (
     Transport,
     columns_of,
     materials_of,
-    noise_of,
 )
 from svu_mi.parameters import NAMES
 from svu_mi.presets import AngularPreset
@@ -56,6 +55,8 @@ SHARPNESS = 0.5 * NINETY**2 / log(TOLERANCE)
 # Changes of colour at constant level: one channel against the others.
 TINTS = np.eye(3) - 1 / 3
 PLANE = np.array([[2, -1, -1], [0, 3**0.5, -(3**0.5)]]).T / 6**0.5  # basis of TINTS
+
+Energy = Callable[[np.ndarray], np.ndarray]  # (F,) of log factors (F, 3) of the light
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,8 @@ def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -
     samples, kept = samples.without_steep_views()
     moments = SampleMoments.of(samples, columns.subset(kept))
 
-    def worse(logarithm: np.ndarray) -> float:
-        posterior = moments.posterior(switches, np.exp(logarithm))
-        return SHARPNESS * log(noise_of(posterior, samples.unit))
+    def worse(logarithms: np.ndarray) -> np.ndarray:
+        return SHARPNESS * np.log(moments.noise(switches, np.exp(logarithms)))
 
     common, sd = _common_factor(worse)
     tint, tint_sd = _tint(worse, common)
@@ -104,10 +104,10 @@ def scale_of(samples: TexelSamples, columns: Columns, switches: AngularPreset) -
     return LightScale(best, sd if anchored else max(sd, LOOSE), tint_sd, anchored)
 
 
-def _common_factor(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
+def _common_factor(worse: Energy) -> tuple[float, float]:
     """Return median and standard deviation of the log factor common to all channels."""
     steps = np.linspace(-FURTHEST, FURTHEST, STEPS)
-    noise = scipy.interpolate.PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
+    noise = scipy.interpolate.PchipInterpolator(steps, worse(np.repeat(steps[:, None], 3, axis=1)))
     fine = np.linspace(-FURTHEST, FURTHEST, 601)
     energy = noise(fine) + COLORS * fine
     p = np.exp(energy.min() - energy)
@@ -115,21 +115,23 @@ def _common_factor(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
     return float(middle), float(high - low) / 2 / NINETY
 
 
-def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarray, np.ndarray]:
+def _tint(worse: Energy, level: float) -> tuple[np.ndarray, np.ndarray]:
     """Return means and standard deviations (3,) of log tint at a common log scale ``level``."""
 
-    def energy(tint: np.ndarray) -> float:
-        return COLORS_SHARPER * worse(level + tint) + 0.5 * float(tint @ tint) / COLOR.scale**2
+    def energy(tints: np.ndarray) -> np.ndarray:
+        prior = 0.5 * np.square(tints).sum(axis=1) / COLOR.scale**2
+        return COLORS_SHARPER * worse(level + tints) + prior
 
-    best, least = np.zeros(3), energy(np.zeros(3))
+    best = np.zeros(3)
+    (least,) = energy(best[None])
     for _ in range(TINT_ROUNDS):
         slope, covariance = _slope_and_covariance(energy, best, least)
         step = -covariance @ slope
         step *= min(1.0, MOST_TINTED / max(float(np.abs(best + step).max()), 1e-12))
-        after = energy(best + step)
+        (after,) = energy((best + step)[None])
         while after > least and np.abs(step).max() > SMALLEST:
             step = step / 2
-            after = energy(best + step)
+            (after,) = energy((best + step)[None])
         if after > least:
             break
         best, least = best + step, after
@@ -137,11 +139,11 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
 
 
 def _slope_and_covariance(
-    energy: Callable[[np.ndarray], float], tint: np.ndarray, least: float
+    energy: Energy, tint: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return gradient (3,) and inverse Hessian (3, 3) of ``energy`` at a tint."""
     steps = TINT * np.concatenate([TINTS, -TINTS])
-    excess = np.array([energy(tint + step) for step in steps]) - least
+    excess = energy(tint + steps) - least
     a, b = (steps @ PLANE).T
     terms = np.stack([a, b, a * a / 2, a * b, b * b / 2], axis=1)
     *slope, aa, ab, bb = np.linalg.lstsq(terms, excess, rcond=None)[0]
