@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import svu_mi as svu
-from svu_mi.bench import BENCHMARKS, calibration, light, paper, paths, scaling, sureness
+from svu_mi.bench import BENCHMARKS, calibration, light, paper, paths, scaling, sureness, verdict
 from svu_mi.bench.captures import FRONT, uneven_views
 from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
@@ -43,11 +43,12 @@ def _briefly(*known, preset="default", **words):
 
 
 TINY = {
-    light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
+    light: {"QUICK": {"views": 12, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 2},
     scaling: {"QUICK": scaling.ScalingSizes(
         resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
     paths: {"QUICK": (12, 2, 1)},
+    verdict: {"QUICK": {"views": 16, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
     table2: {"QUICK_FILM": 24, "QUICK_TEXELS": 16, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
     table3: {"QUICK": (12, 4), "_entropy_rows": lambda: ENTROPY_ROWS},
