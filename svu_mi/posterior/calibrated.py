@@ -47,6 +47,7 @@ from svu_mi.reflection.roughness_levels import roughness_levels
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.statistics import Statistics
 
+DRAWN_TOGETHER = 8  # draws of a pass over the nodes; more of them make a larger kernel
 TEXELS_PER_CHUNK = 2**17  # texels whose node masses are in memory at the same time
 FEWEST = 4  # minimum number of roughness levels; the spline needs four
 
@@ -281,17 +282,20 @@ class CalibratedKernel(Kernel):
         total = dr.gather(mi.Float, self.summary.total, index)
         drawn = {name: np.empty((count, len(texels), self.channels_of(name)), np.float32)
                  for name in names}  # fmt: skip
-        for number in range(count):
-            random = np.random.default_rng((seed, number)).random(
-                (len(names) + 2 * self.channels, problem.factors.count), np.float32
-            )
-            shared, colors = kernel.draw(
-                problem, lanes, total, [to_drjit(mi.Float, u[lanes]) for u in random]
-            )
-            for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
-                own = np.stack([np.array(x) for x in values], axis=-1)
-                drawn[name][number] = self._stretched(name, own, texels)
+        for first in range(0, count, DRAWN_TOGETHER):
+            random = [self._random(seed, first + k, lanes) for k in range(DRAWN_TOGETHER)]
+            samples = kernel.draw(problem, lanes, total, random)
+            for number, (shared, colors) in zip(range(first, count), samples, strict=False):
+                for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
+                    own = np.stack([np.array(x) for x in values], axis=-1)
+                    drawn[name][number] = self._stretched(name, own, texels)
         return drawn
+
+    def _random(self, seed: int, number: int, lanes: np.ndarray) -> list[Any]:
+        """Return the random Floats of a draw at some lanes (see ``kernel.draw``)."""
+        shape = len(self.grid.axes) + 2 * self.channels, self.problem.factors.count
+        random = np.random.default_rng((seed, number)).random(shape, np.float32)
+        return [to_drjit(mi.Float, u[lanes]) for u in random]
 
     def without_common_scale(self) -> CalibratedKernel:
         """Return the kernel without the uncertainty of the common scale."""

@@ -6,6 +6,7 @@ Each result needs one pass over the nodes of roughness and the mixing parameters
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -334,33 +335,32 @@ def color_masses(
 
 
 def draw(
-    problem: CalibratedProblem, lanes: np.ndarray, total: Any, random: list[Any]
-) -> tuple[list[Any], list[Any]]:
+    problem: CalibratedProblem, lanes: np.ndarray, total: Any, random: list[list[Any]]
+) -> Iterator[tuple[list[Any], list[Any]]]:
     """Sample roughness, mixing parameters, and base colour per channel of t texels: (t,) Floats.
 
-    ``random`` are (t,) Floats in [0, 1): one for the node, one for each shared parameter, and two
-    for each channel. ``total`` is the mass of each texel.
+    Each item of ``random`` gives a sample; one pass over the nodes finds those of all samples. An
+    item is a list of (t,) Floats in [0, 1): one for the node, one for each shared parameter, and
+    two for each channel. ``total`` is the mass of each texel.
     """
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes.astype(np.uint32)))
-    nodes, count = problem.nodes, len(lanes)
-    target = random[0] * total
+    nodes, targets = problem.nodes, [first * total for first, *_ in random]
 
-    def visit(node: Node, below: Any, row: Any, column: Any) -> tuple[Any, ...]:
-        at_or_below = below <= target
-        return (below + node.weight, dr.select(at_or_below, node.row, row),
-                dr.select(at_or_below, node.column, column))  # fmt: skip
+    def visit(node: Node, below: Any, *found: Any) -> tuple[Any, ...]:
+        reached = [below <= target for target in targets for _ in range(2)]
+        here = (node.row, node.column) * len(targets)
+        return below + node.weight, *map(dr.select, reached, here, found)
 
-    zero = dr.zeros(mi.UInt32, count)
-    _, row, column = integrator.fold_all(visit, (dr.zeros(mi.Float, count), zero, zero))
-    dr.eval(row, column)
-    places = [(nodes.rows, row), *((values, column) for values in nodes.columns)]
-    colors = integrator.draw_colors(row, column, random[1 + len(places) :])
-    shared = [
-        values.sample(place, u)
-        for (values, place), u in zip(places, random[1 : 1 + len(places)], strict=True)
-    ]
-    dr.eval(colors, shared)
-    return shared, colors
+    zero = dr.zeros(mi.UInt32, len(lanes))
+    start = (dr.zeros(mi.Float, len(lanes)), *[zero] * (2 * len(targets)))
+    _, *found = integrator.fold_all(visit, start)
+    dr.eval(found)
+    for row, column, (_, *rest) in zip(found[::2], found[1::2], random, strict=True):
+        places = [(nodes.rows, row), *((values, column) for values in nodes.columns)]
+        colors = integrator.draw_colors(row, column, rest[len(places) :])
+        shared = [values.sample(place, u) for (values, place), u in zip(places, rest, strict=False)]
+        dr.eval(colors, shared)
+        yield shared, colors
 
 
 def zeroed_memory(number: int) -> Any:
