@@ -26,6 +26,7 @@ from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
+from svu_mi.posterior.folds import COMMON_SD
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
@@ -122,9 +123,10 @@ class CalibratedKernel(Kernel):
         noise: (S,) float64, standard deviation s of a sample of weight 1, in radiance.
         summary: entropy, moments and best bins of the S texels.
         learned: True if the prior was learned (``empirical_bayes``).
-        spread: factor of the standard deviation by parameter, at least 1 (``folds``); default: 1.
-            Widens ``sd``, ``interval``, draws and entropy, up to the prior's standard deviation;
-            means and bin probabilities stay.
+        spread: factor f of the standard deviation s by parameter, at least 1 (``folds``). Widens
+            ``sd``, ``interval``, draws and entropy to sqrt(f^2 s^2 + c^2) with the common error c
+            of all texels (``COMMON_SD``), up to the prior's standard deviation; means and bin
+            probabilities stay. Default: not widened.
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
     """
@@ -207,9 +209,12 @@ class CalibratedKernel(Kernel):
         return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
 
     def _factors(self, name: str, sd: np.ndarray) -> np.ndarray:
-        """Return factors of standard deviations ``sd``, (t, g): ``spread``, up to the prior's."""
-        most = np.asarray(self.prior.moments(name)[1], np.float32)
-        return np.clip(most / np.maximum(sd, np.float32(1e-9)), 1, self.spread.get(name, 1.0))
+        """Return factors of standard deviations ``sd``, (t, g), up to the prior's (``spread``)."""
+        if name not in self.spread:
+            return np.ones_like(sd)
+        most, sd = np.float32(self.prior.moments(name)[1]), np.maximum(sd, np.float32(1e-9))
+        factor = np.hypot(self.spread[name], np.float32(COMMON_SD.get(name, 0)) / sd)
+        return np.clip(np.minimum(factor, most / sd), 1, None)
 
     def _own_moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation without ``spread`` and ``common``, (t, g)."""
@@ -240,8 +245,8 @@ class CalibratedKernel(Kernel):
     def _stretched(
         self, name: str, values: np.ndarray, texels: np.ndarray, channel: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return values (..., t, g) moved away from the mean by the factor ``spread``."""
-        if self.spread.get(name, 1.0) <= 1:
+        """Return values (..., t, g) moved away from the mean by the factors of ``spread``."""
+        if name not in self.spread:
             return values
         mean, sd = self._own_moments(name, texels)
         factor = self._factors(name, sd)

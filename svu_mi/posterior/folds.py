@@ -12,7 +12,8 @@ parameter, r^2 is the ratio of both sides' sums over a sample of texels and all 
 
     s <- s sqrt(max(1, a r^2)).
 
-Means stay. a = 1.3 accounts for errors that all sides share (notebooks/design/calibration.md).
+Means stay. a = 1.3 accounts for errors that all sides share (notebooks/design/calibration.md), and
+so does a common error c of roughness, which is added to s^2: levels, pixels and the mesh limit it.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ ENOUGH = 12  # number of views from which s is increased as stated; fewer than 4
 SAMPLE = 800  # number of texels
 MIN_VIEWS = 6  # minimum number of views of a texel
 SHARED = 1.3  # a
+COMMON_SD = {"roughness": 0.0125}  # c
 ROUNDS = 20  # rounds of k-means
 TINY = 1e-9
 

@@ -69,6 +69,12 @@ class Surroundings:
         )
 
 
+def compressed(radiance: np.ndarray, unit: float) -> np.ndarray:
+    """Return radiance b as b / (b + unit), on [0, 1)."""
+    radiance = np.maximum(radiance, 0)
+    return np.asarray(radiance / np.maximum(radiance + unit, 1e-30))
+
+
 def explained(values: np.ndarray, predicted: np.ndarray, whole: np.ndarray | None = None) -> float:
     """Return 1 - |values - predicted|^2 / |whole|^2; ``whole`` is the deviation from the mean."""
     whole = values - values.mean(axis=0) if whole is None else whole
@@ -89,8 +95,7 @@ class Residuals:
 
     def compressed(self, radiance: np.ndarray) -> np.ndarray:
         """Return radiance on [0, 1)."""
-        radiance = np.maximum(radiance, 0)
-        return np.asarray(radiance / np.maximum(radiance + self.unit, 1e-30))
+        return compressed(radiance, self.unit)
 
     @cached_property
     def shown(self) -> np.ndarray:

@@ -97,7 +97,7 @@ def test_photographs_of_a_phone_are_predicted(measured):
     rows = case["rows"]
     assert (case["photographs"], case["left_out"]) == (VIEWS, VIEWS // 4)
     assert case["odd"] == [f"IMG_{SPOILT:04d}.jpg"]
-    assert rows["posterior"]["r2"] > rows["texel means"]["r2"]
+    assert rows["posterior"]["r2"] > rows["texel means"]["r2"] + 0.05
     assert rows["posterior"]["r2"] > rows["diffuse only"]["r2"]
     assert 0.8 <= rows["posterior"]["holds"]["0.9"] <= 0.97
     assert len(rows["posterior"]["views"]) == VIEWS // 4
@@ -246,6 +246,19 @@ def test_r_squared_of_the_mean_is_zero():
     mean = np.broadcast_to(shown.mean(axis=0), shown.shape)
     assert r_squared([mean], [shown]) == pytest.approx(0)
     assert r_squared([mean + 1], [shown]) < 0
+
+
+def test_few_highlights_do_not_decide():
+    """One of 400 texels is predicted ten times too bright: R^2 of radiance would be -4.6."""
+    right = np.linspace(0.1, 1, 400)[:, None].repeat(3, axis=1)
+    wrong, score = right.copy(), Score.start(400)
+    wrong[np.flatnonzero(~score.first)[-1]] = 10
+    score.add(np.arange(400), right, np.ones(400), PredictedView(wrong[None]))
+    b, mean = np.linspace(0.1, 1, 400)[~score.first], right[~score.first].mean()
+    squeezed = b / (b + mean)
+    error = (10 / (10 + mean) - squeezed[-1]) ** 2
+    expected = 1 - error / np.square(squeezed - squeezed.mean()).sum()
+    assert score.record()["r2"] == pytest.approx(expected) and expected > 0.9
 
 
 def test_brightness_of_photographs_does_not_affect_scores():

@@ -2,7 +2,9 @@
 
 Exposure and white balance of a held-out photograph are unknown. The gain of each channel is fitted
 to half of its texels. The other half is divided by that gain and scored relative to the mean of the
-photograph, so that differences in brightness between photographs do not count.
+photograph, so that differences in brightness between photographs do not count. R^2 is that of
+compressed radiance, as in the verdict on results: few highlights, clipped in the photographs, would
+decide on R^2 of radiance.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from svu_mi.capture.image_io import srgb
 from svu_mi.evaluation.image_metrics import WHITE, psnr
 from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.residuals import compressed
 
 if TYPE_CHECKING:
     from svu_mi.bench.real import HoldoutCase
@@ -102,13 +105,15 @@ class Score:
             return {"r2": nan, "facing": nan, "steep": nan, "views": [], "psnr": nan, "holds": {}}
         predicted, shown = np.concatenate(self.predicted), np.concatenate(self.shown)
         white = max(float(np.quantile(shown, WHITE)), 1e-12)
-        steep = [~facing for facing in self.facing]
-        pairs = zip(self.predicted, self.shown, strict=True)
+        unit, steep = float(shown.mean()), [~facing for facing in self.facing]
+        ours, theirs = (
+            [compressed(x, unit) for x in some] for some in (self.predicted, self.shown)
+        )
+        pairs = zip(ours, theirs, strict=True)
         return {
-            "r2": r_squared(self.predicted, self.shown),
-            "facing": r_squared(_select(self.predicted, self.facing),
-                                _select(self.shown, self.facing)),
-            "steep": r_squared(_select(self.predicted, steep), _select(self.shown, steep)),
+            "r2": r_squared(ours, theirs),
+            "facing": r_squared(_select(ours, self.facing), _select(theirs, self.facing)),
+            "steep": r_squared(_select(ours, steep), _select(theirs, steep)),
             "views": [r_squared([one], [other]) for one, other in pairs],
             "psnr": float(psnr(srgb(predicted / white), srgb(shown / white))),
             **self._intervals(),
@@ -133,7 +138,7 @@ def fitted_gain(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 
 def r_squared(predicted: Sequence[np.ndarray], shown: Sequence[np.ndarray]) -> float:
-    """Return the predicted fraction of the variance of photographs, (m, 3) each.
+    """Return the predicted fraction of the variance of photographs, (m, 3) compressed each.
 
     Variance is relative to the mean of each channel and photograph; NaN without variance.
     """
