@@ -26,7 +26,7 @@ from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
-from svu_mi.posterior.folds import COMMON_SD
+from svu_mi.posterior.folds import blur_error
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, Prior, observed_by, require_scale
@@ -124,9 +124,9 @@ class CalibratedKernel(Kernel):
         summary: entropy, moments and best bins of the S texels.
         learned: True if the prior was learned (``empirical_bayes``).
         spread: factor f of the standard deviation s by parameter, at least 1 (``folds``). Widens
-            ``sd``, ``interval``, draws and entropy to sqrt(f^2 s^2 + c^2) with the common error c
-            of all texels (``COMMON_SD``), up to the prior's standard deviation; means and bin
-            probabilities stay. Default: not widened.
+            ``sd``, ``interval``, draws and entropy to sqrt(f^2 s^2 + c^2), with c of roughness
+            from ``blur_error``, up to the prior's standard deviation; means and bin probabilities
+            stay. Default: not widened.
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
     """
@@ -176,9 +176,9 @@ class CalibratedKernel(Kernel):
         """
         added: Any = np.float32(0)
         for name in self.spread:
-            sd = self._own_moments(name, texels)[1]
+            mean, sd = self._own_moments(name, texels)
             scaled = 2 * math.pi * math.e * (sd * (len(self.grid.axes[name]) - 1)) ** 2
-            rise = np.log((1 + self._factors(name, sd) ** 2 * scaled) / (1 + scaled)) / 2
+            rise = np.log((1 + self._factors(name, mean, sd) ** 2 * scaled) / (1 + scaled)) / 2
             added = added + rise.mean(axis=1, dtype=np.float32)
         return added
 
@@ -205,15 +205,16 @@ class CalibratedKernel(Kernel):
     def moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation (see ``Kernel``)."""
         mean, sd = self._own_moments(name, texels)
-        sd = sd * self._factors(name, sd)
+        sd = sd * self._factors(name, mean, sd)
         return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
 
-    def _factors(self, name: str, sd: np.ndarray) -> np.ndarray:
+    def _factors(self, name: str, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
         """Return factors of standard deviations ``sd``, (t, g), up to the prior's (``spread``)."""
         if name not in self.spread:
             return np.ones_like(sd)
         most, sd = np.float32(self.prior.moments(name)[1]), np.maximum(sd, np.float32(1e-9))
-        factor = np.hypot(self.spread[name], np.float32(COMMON_SD.get(name, 0)) / sd)
+        blurred = blur_error(mean) if name == "roughness" else np.float32(0)
+        factor = np.hypot(self.spread[name], blurred / sd)
         return np.clip(np.minimum(factor, most / sd), 1, None)
 
     def _own_moments(self, name: str, texels: np.ndarray) -> Pair:
@@ -249,7 +250,7 @@ class CalibratedKernel(Kernel):
         if name not in self.spread:
             return values
         mean, sd = self._own_moments(name, texels)
-        factor = self._factors(name, sd)
+        factor = self._factors(name, mean, sd)
         if channel is not None:
             mean, factor = (np.take_along_axis(x, channel[:, None], axis=1) for x in (mean, factor))
         return np.clip(mean + factor * (values - mean), 0, 1)

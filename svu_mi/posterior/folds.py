@@ -13,7 +13,7 @@ parameter, r^2 is the ratio of both sides' sums over a sample of texels and all 
     s <- s sqrt(max(1, a r^2)).
 
 Means stay. a = 1.3 accounts for errors that all sides share (notebooks/design/calibration.md), and
-so does a common error c of roughness, which is added to s^2: levels, pixels and the mesh limit it.
+so does ``blur_error`` of low roughness.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ENOUGH = 12  # number of views from which s is increased as stated; fewer than 4
 SAMPLE = 800  # number of texels
 MIN_VIEWS = 6  # minimum number of views of a texel
 SHARED = 1.3  # a
-COMMON_SD = {"roughness": 0.0125}  # c
+BLUR, SHARPEST = 2e-4, 0.1  # radians^2; roughness below which the error of blur is constant
 ROUNDS = 20  # rounds of k-means
 TINY = 1e-9
 
@@ -81,6 +81,20 @@ def compared(counts: np.ndarray) -> np.ndarray:
     ``counts`` are (1 + F, t) numbers of photographs of each texel: of all, and without each fold.
     """
     return (counts[0] >= MIN_VIEWS) & (counts[1:] > 0) & (counts[1:] < counts[0])
+
+
+def blur_error(roughness: np.ndarray) -> np.ndarray:
+    """Return the error of roughness by blur of pixels, texels and cells of light.
+
+    A lobe of width alpha = r^2 that is blurred by an angle b looks like one of roughness r', with
+    r'^4 = r^4 + b^2; the difference is b^2 / (4 r^3).
+
+    Example:
+        >>> from svu_mi.posterior.folds import blur_error
+        >>> float(blur_error(np.array(0.2)).round(4))
+        0.0063
+    """
+    return BLUR / (4 * np.maximum(roughness, SHARPEST) ** 3)
 
 
 def spread_factors(
