@@ -23,7 +23,7 @@ CAUSES = {
     "poses": "the poses are off, or the mesh is turned or moved",
     "mesh": "the mesh is of another object",
 }
-MARGIN = 0.8  # largest ratio of the variances that a model and means of texels leave unexplained
+MARGIN = 0.95  # largest ratio of the variances that a model and means of texels leave unexplained
 LEAST, GOOD = 0.6, 0.85  # R^2 of a reliable model below and above this ratio
 NOISY = 0.95  # share of samples in 90 % intervals from which noise explains all errors
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")  # directions of normals, in world space

@@ -190,7 +190,8 @@ def test_ignored_gains_are_named(capture, layout):
 
 @pytest.mark.parametrize(
     ("r2", "means", "cause", "reliable"),
-    [(0.86, 0.9, "", True), (0.61, 0.4, "", True), (0.8, 0.8, "", False), (0.5, -2.0, "", False),
+    [(0.86, 0.9, "", True), (0.61, 0.4, "", True), (0.8, 0.8, "", False),
+     (0.73, 0.69, "", True), (0.5, -2.0, "", False),
      (0.95, 0.6, "gains", False)],
 )  # fmt: skip
 def test_reliable_models_predict_better_than_means(r2, means, cause, reliable):
