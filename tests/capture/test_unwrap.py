@@ -44,11 +44,13 @@ def test_pieces_share_one_atlas():
 
 def test_large_meshes_are_announced(monkeypatch, caplog):
     monkeypatch.setattr(unwrapping, "LARGE", 1000)
+    monkeypatch.setattr(unwrapping, "HUGE", 1279)
     monkeypatch.setattr(unwrapping, "PERIOD", 0.01)
     mesh = noisy(3)
     with caplog.at_level(logging.WARNING):
         made = arrays(unwrap(make_mesh("ball", mesh), "scan.ply"))
     assert caplog.messages[0].startswith("scan.ply: UVs of 1280 faces are computed, which takes")
+    assert caplog.messages[0].endswith("; svu import --faces 100000 simplifies it first.")
     assert caplog.messages[1].startswith("Computing UVs: ")
     corners = made.positions[made.faces]
     np.testing.assert_allclose(corners, mesh.positions[mesh.faces], atol=1e-6)

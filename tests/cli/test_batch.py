@@ -72,7 +72,7 @@ def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
     (folder / "notes").mkdir()
     assert [item.name for item in read_list(folder)] == ["a", "b"]
     head = "capture, name, resolution, light"
-    path = table(tmp_path, head, "shelf/b,,32 16,", "shelf/a, first,, l.exr", "")
+    path = table(tmp_path, head, "shelf/b,,32 16", "shelf/a, first,, l.exr", "")
     items = read_list(path)
     assert [item.name for item in items] == ["b", "first"]
     assert items[0].options == {"resolution": "32 16"}
