@@ -236,3 +236,10 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
         ]  # fmt: skip
         truth = oracle_posterior.of_channels(oracle_posterior.joint(energies), grid.shape)
         assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 5e-6
+
+
+def test_a_grid_keeps_the_values_that_were_known():
+    known = {"metallic": 0.0}
+    grid = PrincipledGrid(known=known)
+    known["metallic"] = 0.5
+    assert grid.known == {"metallic": 0.0}
