@@ -32,15 +32,6 @@ def test_the_factor_of_usual_units_is_found(sensors, factor, place):
     assert wrong.sentence(None).endswith(f"scale the shape by {factor:.4g}.")
 
 
-def test_wide_cameras_inside_the_mesh_see_a_part_of_it():
-    """The cap of 45 degrees of a far larger ball: (1 - cos 45) / 2 = .15 of its area."""
-    sensors = sphere_sensors(make_mesh("ball", ball()), 12, (36, 36), fov=90)
-    share, _ = framing(1000 * ball().positions, sensors)
-    assert 0.1 < share < 0.2
-    wrong = wrong_scale(1000 * ball().positions, sensors)
-    assert wrong is not None and wrong.factor == pytest.approx(0.001)
-
-
 def test_a_point_in_the_plane_of_the_camera_is_not_framed():
     """The focal length is 8 pixels of 16: the others are 4 pixels left and right of the centre."""
     record = {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from support.helpers import unit_vectors
@@ -9,6 +11,7 @@ from support.helpers import unit_vectors
 from svu_mi.core.arrays import fibonacci
 from svu_mi.posterior.held_out_samples import HeldOutSamples
 from svu_mi.posterior.judge_prediction import judged
+from svu_mi.posterior.likely_cause import clear_cause
 from svu_mi.posterior.residuals import Surroundings
 
 VIEWS, TEXELS, FOLDS = 30, 240, 6
@@ -134,3 +137,10 @@ def replace_eyes(ball, eyes):
     other = Ball()
     other.eyes = eyes
     return other.judged(ball.truth)
+
+
+@pytest.mark.parametrize("from_below, cause", [(0.3, "surroundings"), (0.1, "poses")])
+def test_clear_causes_need_no_bad_prediction(from_below, cause):
+    found = SimpleNamespace(gain=(0, 0), error=0.1, shift=(0.3,), groups=0, moving_light=0.1)
+    found.from_below = from_below
+    assert clear_cause(found) == cause
