@@ -84,7 +84,7 @@ class Inpaint(LitCommand, ResultCommand):
 
         textures, model = read_textures(self.recovered), self._load_model(progress)
         size = textures.resolution
-        need = partial(Need, "recover", resolution=size, model="default")
+        need = partial(Need, "inpaint", resolution=size, model="default")
         capture, texels = self.load_with_light(progress, need, size)
         capture = require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)

@@ -61,11 +61,12 @@ class Cost:
 COSTS = {
     "entropy": Cost(430e6, 23),
     "recover": Cost(410e6, 28, 1200),
+    "inpaint": Cost(410e6, 28, 1200),
     "guide": Cost(600e6, 24, 600, 1.25e6),
     "relight": Cost(480e6, 23, texel=120),
     "report": Cost(480e6, 23),
     "view": Cost(540e6, 23),
-    "check": Cost(370e6, 23),
+    "check": Cost(395e6, 23),
     "compare": Cost(360e6, 20),
     "render": Cost(260e6, 45, film=100, light=66),
     "import": Cost(260e6, 64, light=66),
@@ -79,7 +80,8 @@ GRID = 100  # bytes per texel outside of all charts
 # LAID_OUT bytes per texel on charts, and MODELS bytes per texel of two batches of AT_WORK texels.
 TILE = 2**18
 ABOUT = 1.1  # factor of TILE, because the chart coverage is an upper bound
-LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2800}
+LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2800,
+            "inpaint": 3700}  # fmt: skip
 AT_WORK = 2**15  # texels per batch; their statistics take 65 MB, and a multiple at the peak
 STORED = 14  # bytes per pixel of photographs that can be moved to a file
 FLAGS = 4  # bytes per pixel of photographs in a file that stay in memory
@@ -96,7 +98,7 @@ FEWER_PIXELS = {
     "render": "rendering at most {} pixels per film",
     "import": "reading photographs of at most {} pixels",
 }
-FEWER_TEXELS = {"export": "svu recover --resolution {}"}
+FEWER_TEXELS = dict.fromkeys(("export", "inpaint"), "svu recover --resolution {}")
 SPARE = 0.45  # bytes of address space that are reserved in addition, per byte of texels
 ARENAS = 0.15e9, 0.13e9  # address space of allocators: constant, and per thread beyond two
 START, START_ADDRESS = 0.25e9, 1.2e9  # memory and address space of a process with all libraries
