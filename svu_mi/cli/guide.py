@@ -14,7 +14,7 @@ from rich.console import Console
 from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
-from svu_mi.cli.loading import EstimateCommand
+from svu_mi.cli.loading import EstimateCommand, print_prediction
 from svu_mi.cli.streams import format_number, print_line
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.output_folder import claimed
@@ -107,6 +107,7 @@ class Guide(EstimateCommand):
         )
         candidates = fixed or self._reachable(self._place_candidates(capture))
         known = self.estimation.estimate(progress, capture, texels, whole=True)
+        print_prediction(progress, known)
         guidance = next_best_view(
             known, candidates, self.add, options=self.guidance, progress=progress
         )

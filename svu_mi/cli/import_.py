@@ -122,7 +122,7 @@ class Import(BaseCommand):
         return 0
 
     def _import(self, progress: Progress, place: Claim) -> Imported:
-        from svu_mi.capture.importers.colmap.undistortion import undistort
+        from svu_mi.capture.importers.colmap.undistortion import read_undistorted
         from svu_mi.capture.importers.import_capture import plan_import
 
         path, reading = self.source, self.reading
@@ -130,14 +130,10 @@ class Import(BaseCommand):
         with tempfile.TemporaryDirectory(prefix=".svu-undistorted-", dir=place.draft) as scratch:
             if self.undistort:
                 with progress.stage("Undistorting photographs"):
-                    path = undistort(
-                        path, Path(scratch), images=reading.images, masks=reading.masks
-                    )
-                reading = replace(reading, format="colmap", images=None, masks=None)
-            with progress.stage("Reading poses"):
-                source = read_source(path, reading)
-                if self.undistort:
-                    source = replace(source, root=self.source)
+                    source = read_undistorted(path, Path(scratch), reading)
+            else:
+                with progress.stage("Reading poses"):
+                    source = read_source(path, reading)
             with progress.stage("Converting photographs") as stage:
                 plan = plan_import(source, self.conversion)
                 require_memory(progress, str(self.source), Need("import", plan.sizes))

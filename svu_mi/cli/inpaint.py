@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand
-from svu_mi.cli.loading import LitCommand
+from svu_mi.cli.loading import LitCommand, print_prediction
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -88,6 +88,7 @@ class Inpaint(LitCommand, ResultCommand):
         capture, texels = self.load_with_light(progress, need, size)
         capture = require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
+        print_prediction(progress, known)
         with progress.stage("Estimating the uncertainty of textures"):
             used, around = recovery_settings(self.recovered), neighbors(texels, capture.mesh)
             names = used.get("parameters", NAMES)

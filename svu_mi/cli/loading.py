@@ -164,12 +164,17 @@ class EstimateCommand(LitCommand):
         if recovered is not None:
             capture = require_textures_of(capture, recovered)
         estimate = self.estimation.estimate(progress, capture, grid, **options)
-        predicted = estimate.prediction
-        if predicted is not None and predicted.reliable:
-            progress.say(predicted.sentence())
-        elif predicted is not None:
-            warnings.warn(predicted.sentence(), SvuWarning, stacklevel=2)
+        print_prediction(progress, estimate)
         return capture, estimate
+
+
+def print_prediction(progress: Progress, estimate: Estimate) -> None:
+    """Print how well held-out photographs are predicted, as a warning if results are unreliable."""
+    predicted = estimate.prediction
+    if predicted is not None and predicted.reliable:
+        progress.say(predicted.sentence())
+    elif predicted is not None:
+        warnings.warn(predicted.sentence(), SvuWarning, stacklevel=2)
 
 
 def read_capture(

@@ -11,7 +11,7 @@ from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import ResultCommand, interruptible
-from svu_mi.cli.loading import LitCommand
+from svu_mi.cli.loading import LitCommand, print_prediction
 from svu_mi.core.io.output_folder import CHECKPOINT, Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -138,6 +138,7 @@ class Recover(LitCommand, ResultCommand):
             **options,
         )  # fmt: skip
         known = recovery.estimate or given or estimate(seen, preset=model, progress=progress)
+        print_prediction(progress, known)
         capture = warn_of_exposure(capture, known)
         field = None
         if supports_texture_field(known):

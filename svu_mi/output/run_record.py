@@ -86,8 +86,7 @@ def run_record(
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
         "intervals": summary or IntervalSummary.of(estimate),
         "error_bars_widened": estimate.posterior.kernel.spread,
-        "prediction": estimate.prediction,
-        "reliable": estimate.prediction and estimate.prediction.reliable,
+        **_prediction(estimate),
     }
     return _record(
         capture, estimate, _settings(estimate), result,
@@ -110,6 +109,7 @@ def recovery_record(
         "steps": len(losses),
         "first_loss": float(losses[0]) if len(losses) else None,
         "last_loss": float(losses[-1]) if len(losses) else None,
+        **({} if estimate is None else _prediction(estimate)),
     }
     return _record(capture, recovery, settings, result, timings_s=recovery.timings)
 
@@ -120,12 +120,18 @@ def guidance_record(capture: Capture, estimate: Estimate, guidance: Guidance) ->
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
         "candidates": guidance.candidates.count,
         "proposals": [proposal.name for proposal in guidance.proposals],
+        **_prediction(estimate),
     }
     return _record(
         capture, estimate, {**_settings(estimate), "used": guidance.options}, result,
         skipped={**estimate.skipped, **guidance.skipped},
         timings_s={**estimate.timings, **guidance.timings},
     )  # fmt: skip
+
+
+def _prediction(estimate: Estimate) -> dict[str, Any]:
+    predicted = estimate.prediction
+    return {"prediction": predicted, "reliable": predicted and predicted.reliable}
 
 
 def _settings(estimate: Estimate) -> dict[str, Any]:

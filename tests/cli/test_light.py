@@ -84,6 +84,16 @@ def record(folder: Path, name: str = "run.json") -> dict:
     return json.loads((folder / name).read_text())
 
 
+@pytest.mark.filterwarnings("always::svu_mi.errors.SvuWarning")
+def test_recovering_with_a_wrong_light_warns(around, tmp_path, capsys):
+    words = ("--resolution", 24, "--steps", 2, "--no-pictures", "-o", tmp_path)
+    assert run("recover", around, "--light", scenes.FOLDER / "lights/overcast.exr", *words) == 0
+    found = record(tmp_path)["result"]
+    figure = f"R^2 {found['prediction']['r2']:.2f}"
+    warning = f"Unreliable: held-out photographs are predicted with {figure}, "
+    assert warning in capsys.readouterr().err and found["reliable"] is False
+
+
 @pytest.mark.slow
 def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, capsys):
     assert run("light", around, *SMALL, "-o", tmp_path / "a") == 0

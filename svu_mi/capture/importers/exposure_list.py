@@ -48,7 +48,7 @@ def with_gains(
         if gains is not None:
             raise
         are_radiance = not any(open_image(frame.image).bits for frame in frames)
-        some = sum(_has_exposure(frame.image) for frame in frames)
+        some = sum(_has_exposure(frame.taken) for frame in frames)
         note = f"EXIF: exposures of {some} of {len(frames)} photographs are not used: {error}"
         return frames, are_radiance, [note] if some else []
     each = [frame.exposure for frame in frames]
@@ -76,7 +76,7 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
     counts = Counter(frame.image.name for frame in frames)
     changed = []
     for frame in frames:
-        parts = frame.image.parts
+        parts = frame.taken.parts
         names = ("/".join(parts[first:]) for first in range(len(parts)))  # longest first
         key = next((name for name in names if name in gains), None)
         if key is None:
@@ -86,7 +86,7 @@ def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
         if key == frame.image.name and counts[key] > 1:
             raise CaptureError(
                 f"{path}: {counts[key]} photographs are named {key}; name them with their "
-                f"folder, as {frame.image.parent.name}/{key}."
+                f"folder, as {frame.taken.parent.name}/{key}."
             )
         changed.append(replace(frame, exposure=gains[key]))
     return changed
@@ -97,9 +97,9 @@ def with_exif_gains(frames: Sequence[Frame]) -> list[Frame]:
 
     An aperture that is missing everywhere (lenses without contacts) is assumed to be constant.
     """
-    gains, apertures = zip(*(_exif_gain(frame.image) for frame in frames), strict=True)
+    gains, apertures = zip(*(_exif_gain(frame.taken) for frame in frames), strict=True)
     if any(apertures) and not all(apertures):
-        missing = frames[apertures.index(False)].image
+        missing = frames[apertures.index(False)].taken
         raise CaptureError(
             f"{missing}: no aperture in its EXIF data, unlike in others; give exposures as a list "
             "with --exposures."

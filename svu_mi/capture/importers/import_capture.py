@@ -148,7 +148,7 @@ class ImportPlan:
             notes += _write_scene(draft.folder, geometry, light, sensors)
             imported = {
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-                "photographs": [relative_name(source.root, frame.image) for frame in squares],
+                "photographs": [relative_name(source.root, frame.taken) for frame in squares],
                 "mesh_scale": float(options.mesh_scale), "notes": notes,
                 **({"options": list(words)} if words else {}),
             }  # fmt: skip

@@ -66,6 +66,8 @@ class Frame:
         exposure: exposure gain; the radiance of a pixel is its linear value divided by the gain.
         transfer: encoding of integer images; EXR, HDR and PFM are linear.
         lens: lens distortion; None without distortion.
+        original: path of the photograph that was taken, if ``image`` is a copy of it; its EXIF
+            data and its name count. None if ``image`` is itself.
         upright: True if pose and size refer to the photograph as its EXIF orientation turns it,
             False if they refer to the pixels as stored.
     """
@@ -80,6 +82,7 @@ class Frame:
     exposure: float = 1.0
     transfer: Transfer | SampledCurve = "srgb"
     lens: Lens | None = None
+    original: Path | None = None
     upright: bool = True
 
     def __post_init__(self) -> None:
@@ -92,6 +95,11 @@ class Frame:
                 "principal point": [c / n for c, n in zip(self.center, self.size, strict=True)],
             }
             checked(relative, LENS)
+
+    @property
+    def taken(self) -> Path:
+        """Path of the photograph that was taken."""
+        return self.original or self.image
 
     @property
     def has_square_pixels(self) -> bool:

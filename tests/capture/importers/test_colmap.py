@@ -5,6 +5,7 @@ pycolmap runs in separate processes, as in the package: its zlib conflicts with 
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import struct
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.colmap import write_colmap
-from support.helpers import foreign_source, names, projected, run, write_ball
+from support.helpers import fails, foreign_source, names, projected, run, write_ball
 
 from svu_mi.capture.importers.colmap import project as colmap
 from svu_mi.capture.importers.colmap import undistortion
@@ -378,6 +379,24 @@ def test_a_bent_lens_is_straightened_with_its_masks(tmp_path):
             y, x = np.mgrid[: values.shape[0], : values.shape[1]] + 0.5
             center = (values * x).sum() / values.sum(), (values * y).sum() / values.sum()
             np.testing.assert_allclose(center, wanted, atol=0.2)  # the lens moves the second by 1.2
+
+
+def test_exposures_of_undistorted_photographs_are_those_of_the_originals(tmp_path, capsys):
+    """Copies by pycolmap have no EXIF data; times of 1/60 s and 1/30 s differ by 2."""
+    bent, out = put_lens(tmp_path / "bent", [(0, 0), (0.1, 0)]), tmp_path / "out"
+    words = ("import", bent, "--undistort", "--mesh", write_ball(tmp_path), "-o", out)
+    missing = f"{bent / 'images/a place/0.png'}: no exposure time in its EXIF data"
+    assert missing in fails(capsys, *words, "--exposures", "exif")
+    for index, time in enumerate((1 / 60, 1 / 30)):
+        file, exif = bent / f"images/a place/{index}.png", Image.Exif()
+        exif[0x010F] = "maker"  # Pillow drops EXIF data without a tag of the image
+        exif.get_ifd(0x8769)[0x829A] = time
+        Image.open(file).save(file, exif=exif)
+    assert run(*words) == 0
+    assert "EXIF: exposures differ by 2 x" in capsys.readouterr().out
+    record = json.loads((out / "capture.json").read_text())
+    np.testing.assert_allclose(record["exposure"], [2 / 3, 4 / 3], rtol=1e-5)
+    assert record["import"]["photographs"] == ["images/a place/0.png", "images/a place/1.png"]
 
 
 KILL = "import os, signal; os.kill(os.getppid(), signal.SIGKILL)"

@@ -112,7 +112,7 @@ def read(path: Path, options: ReadOptions) -> Source:
         frames=frames,
         camera_axes=OPENCV,
         points=read_points(project.model),
-        notes=[*_notes(project), *moved],
+        notes=[*project_notes(project), *moved],
     )
 
 
@@ -170,7 +170,8 @@ def _possible_folders(model: Path, name: str) -> list[Path]:
     return [Path(os.path.normpath(model / up / name)) for up in ways]
 
 
-def _notes(project: Project) -> Iterator[str]:
+def project_notes(project: Project) -> Iterator[str]:
+    """Yield sentences about the model that was chosen."""
     yield (
         f"{len(project.views)} images of COLMAP; its world has its own unit and up axis, and the "
         "mesh must use the same."

@@ -14,23 +14,46 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from svu_mi.capture.image_io import open_image, quantized
-from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, read_project
+from svu_mi.capture.importers.colmap.project import (
+    IMAGES,
+    MASKS,
+    project_notes,
+    read,
+    read_project,
+)
 from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, read_model, write_model
 from svu_mi.capture.importers.resampling import undistorted_frame
-from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.photographs import read_mask
 from svu_mi.core.io.files import prepare_folder
-from svu_mi.errors import CaptureError, SvuEnvironmentError
+from svu_mi.errors import CaptureError, SvuEnvironmentError, excerpt
+
+if TYPE_CHECKING:
+    from svu_mi.capture.importers.registry import ReadOptions
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
 SCRIPT = "import sys, pycolmap; pycolmap.undistort_images(*sys.argv[1:], jpeg_quality=100)"
 LONGEST = 160  # letters of pycolmap's reason in a message
+
+
+def read_undistorted(path: Path, scratch: Path, options: ReadOptions) -> Source:
+    """Read a project with undistorted copies of its photographs, which ``undistort`` writes."""
+    made = undistort(path, scratch, images=options.images, masks=options.masks)
+    project = read_project(path, options.images, options.masks)
+    source = read(made, replace(options, images=None, masks=None))
+    frames = []
+    for frame in source.frames:
+        name = frame.image.relative_to(made / IMAGES)
+        label = f"{project.model}: image {excerpt(repr(name.as_posix()))}"
+        frames.append(replace(frame, label=label, original=project.images / name))
+    return replace(source, root=path, frames=frames, notes=[*project_notes(project)])
 
 
 def undistort(
