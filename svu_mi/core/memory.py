@@ -69,7 +69,7 @@ COSTS = {
     "check": Cost(395e6, 23),
     "compare": Cost(360e6, 20),
     "render": Cost(260e6, 45, film=100, light=66),
-    "import": Cost(260e6, 64, light=66),
+    "import": Cost(280e6, 64, light=66),
     "export": Cost(330e6, 0, texel=540),
     "light": Cost(370e6, 20),
 }
