@@ -191,6 +191,10 @@ class AngularPreset(_Channels):
     occluded: bool = True
     """True: the object occludes light, in the irradiance and in lobes."""
 
+    bounces: bool = False
+    """True: the object also receives light from itself, as bright as it is in the photographs.
+    Requires ``occluded`` and ``cells``. Light from other shapes is included in any case."""
+
     diffuse: Diffuse = "disney"
     """``disney``: Mitsuba's diffuse lobe, with retro-reflection; ``lambert``: constant."""
 
@@ -276,6 +280,10 @@ class AngularPreset(_Channels):
         require(self, known, "metal_share", "in [0.001, 0.999], or None to learn it")
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
+        require(
+            self, self.with_surfaces or not self.bounces, "bounces",
+            "False without cells and occlusion, as in fast",
+        )  # fmt: skip
         if self.fit is not None:
             self._require_printed()
         if self.errors == "sum" and self.noise == "estimated":
@@ -297,6 +305,11 @@ class AngularPreset(_Channels):
     def traced(self) -> bool:
         """True if the visibility of light cells is traced."""
         return self.cells > 0
+
+    @property
+    def with_surfaces(self) -> bool:
+        """True if the light from other surfaces is modelled."""
+        return self.traced and self.occluded
 
     def kappa(self, unit: float) -> float:
         """Return the radiance above which weights of samples decrease; infinity if they are equal.

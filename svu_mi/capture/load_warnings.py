@@ -6,7 +6,6 @@ known to be correct only for closed surfaces, whose front must be outside.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,8 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
 from svu_mi.capture.photographs import Photograph
-from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.scene import is_closed, to_world
+from svu_mi.capture.surroundings import NESTED, reflecting_shapes
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.errors import CaptureError, excerpt
 
@@ -32,11 +31,7 @@ WRAPPERS = {  # names of unsupported BSDFs in str(bsdf), and their description
     "BumpMap[": "a bump map", "NormalMap[": "a normal map", "Mask[": "an opacity",
     "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
 }  # fmt: skip
-NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
-BLACK = 0.05  # largest reflectance of black cloth, paper or paint
 UNMODELLED = "which svu does not account for"
-HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
-SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
 SHAPES = 5  # shapes that a message lists by name
 MOST = 0.6  # share of back faces that causes a warning; 0.5 for a plate seen from both sides
 POINTS, EYES = 400, 32  # sample sizes: surface points, and cameras
@@ -111,14 +106,11 @@ def unsupported(scene: Any, target: Any, materials: Sequence[Any] = ()) -> list[
             f"Shape '{excerpt(target.id())}' has {_listed(features)}, {UNMODELLED}: if the "
             "photographs show that, roughness and base colour will be off."
         )
-    others = [shape for shape in scene.shapes() if not is_same(shape, target)]
-    near = [shape for shape in others if _extent(shape, target) > SMALL]
-    if bright := [_name(shape) for shape in near if not _is_black(shape.bsdf())]:
+    if bright := [_name(shape) for shape in reflecting_shapes(scene, target)]:
         names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
-            f"Light reflected by {names} falls on '{excerpt(target.id())}', {UNMODELLED}: base "
-            "colours near there will be too bright; put something black around the object when it "
-            "is photographed."
+            f"Light reflected by {names} falls on '{excerpt(target.id())}': the presets default "
+            "and fixed account for it, but neither other presets, nor svu light, guide and check."
         )
     return notes
 
@@ -138,34 +130,6 @@ def _of_material(bsdf: Any) -> Iterator[str]:
             if np.abs(values - ASSUMED[name]).max(initial=0) > TOLERANCE:
                 constant = kind in ("", "value")  # otherwise a texture
                 yield f"{name} {values[0]:.3g}" if constant else f"a {name} texture"
-
-
-def _is_black(bsdf: Any) -> bool:
-    """Return whether a BSDF is certainly dark, invisible or missing.
-
-    Only diffuse and plastic BSDFs with known reflectance are classified as dark.
-    """
-    if bsdf is None or bsdf.class_name() == "Null":
-        return True
-    inputs: dict[str, list[np.ndarray]] = {}  # values and data of textures, by parameter
-    for key, value in mi.traverse(bsdf):
-        if not key.endswith("to_uv"):
-            name = NESTED.sub("", key).partition(".")[0]
-            inputs.setdefault(name, []).append(np.array(value, np.float32))
-    if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, inputs.get("opacity", [1]))):
-        return True
-    colors = [*inputs.pop("reflectance", ()), *inputs.pop("diffuse_reflectance", ())]
-    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in inputs.pop("eta", ())]  # typically 4 %
-    is_diffuse = bool(colors) and set(inputs) <= HARMLESS  # other BSDFs have other parameters
-    return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
-
-
-def _extent(shape: Any, target: Any) -> float:
-    """Return the solid angle / 4 pi of a shape's bounding sphere from the target's centre."""
-    low, high = (np.array(corner, np.float64) for corner in (shape.bbox().min, shape.bbox().max))
-    distance = np.linalg.norm((low + high) / 2 - np.array(target.bbox().center(), np.float64))
-    radius = np.linalg.norm(high - low) / 2
-    return float((1 - np.sqrt(1 - (radius / distance) ** 2)) / 2) if radius < distance else 1.0
 
 
 def _name(shape: Any) -> str:

@@ -175,11 +175,12 @@ def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> Non
         temporary.write_bytes(data)
 
 
-def make_mesh(name: str, mesh: MeshArrays) -> Any:
-    """Build a ``mi.Mesh`` from arrays."""
+def make_mesh(name: str, mesh: MeshArrays, props: Any = None) -> Any:
+    """Build a ``mi.Mesh`` from arrays; ``props`` may contain its BSDF and emitter."""
     uvs, normals = mesh.uvs, mesh.normals
+    given = {} if props is None else {"props": props}
     has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
-    made = mi.Mesh(name, len(mesh.positions), len(mesh.faces), **has)
+    made = mi.Mesh(name, len(mesh.positions), len(mesh.faces), **has, **given)
     params = mi.traverse(made)
     params["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
     for key, rows in (("positions", mesh.positions), ("normals", normals), ("texcoords", uvs)):

@@ -33,7 +33,7 @@ GROUPS = {
     "source": "reading undistort",
     "mesh": "mesh mesh-up world-up mesh-scale geometry-only",
     "light": "light environment environment-axes environment-scale environment-view light-scale",
-    "estimate": "method preset known skip",
+    "estimate": "method preset known bounces skip",
     "choice of views": "lowest up distance reachable unreachable guidance",
     "diffusion model": "diffusion",
     OTHERS: "",

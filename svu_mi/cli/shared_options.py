@@ -14,6 +14,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from svu_mi.core.validation import require_spp, require_texels
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
+from svu_mi.presets import AnyPreset
 from svu_mi.presets import preset as find_preset
 
 if TYPE_CHECKING:
@@ -194,16 +195,29 @@ class EstimateOptions:
     """paper: the published method; fast: less accurate, grey; fixed (angular only): noise of 8 %
     of the mean radiance instead of estimated noise."""
     known: Known = ()
+    bounces: bool = False
+    """Account for light that the object reflects onto itself, as bright as it is in the
+    photographs (presets default and fixed); takes up to twice as long."""
 
     @property
     def model(self) -> str:
         """Key of ``memory.MODELS``, which contains the memory per texel."""
+        if self.bounces:
+            return "bounces"
         return self.preset if self.method == "angular" else self.method
 
     def check(self) -> None:
         """Refuse an unknown preset or parameter."""
-        find_preset(self.preset, method=self.method)
+        self.switches()
         parse_known(self.known)
+
+    def switches(self) -> AnyPreset:
+        """Return the preset with its options."""
+        if not self.bounces:
+            return find_preset(self.preset, method=self.method)
+        if self.method != "angular" or self.preset not in ("default", "fixed"):
+            raise OptionError("--bounces needs --method angular and --preset default or fixed.")
+        return find_preset(self.preset, method="angular", bounces=True)
 
     def estimate(
         self, progress: Progress, capture: Capture, texels: Texels, **options: Any
@@ -212,7 +226,7 @@ class EstimateOptions:
         from svu_mi.pipeline import estimate
 
         return estimate(
-            capture, texels, self.method, self.preset, known=parse_known(self.known),
+            capture, texels, self.method, self.switches(), known=parse_known(self.known),
             progress=progress, **options,
         )  # fmt: skip
 

@@ -74,7 +74,14 @@ COSTS = {
     "light": Cost(370e6, 20),
 }
 # Bytes per texel, by preset, and for power spectra, which have no preset.
-MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
+MODELS = {
+    "default": 2900,
+    "bounces": 3500,
+    "fixed": 1300,
+    "fast": 1100,
+    "paper": 2000,
+    "spectrum": 560,
+}
 GRID = 100  # bytes per texel outside of all charts
 # These commands process more than TILE texels in tiles, except with power spectra. They then take
 # LAID_OUT bytes per texel on charts, and MODELS bytes per texel of two batches of AT_WORK texels.

@@ -77,7 +77,7 @@ def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
     def gather() -> Factors:
         if switches.traced:
             with progress.stage("Tracing occlusion"):
-                observed.light_visibility(switches.cells, occluded=switches.occluded)
+                observed.trace_light(switches)
         with progress.stage("Gathering statistics"):
             return _factors(inputs, observed, switches, texels)
 

@@ -60,7 +60,7 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         if not folds:
             return FoldTest()
         if switches.traced:
-            observed.light_visibility(switches.cells, occluded=switches.occluded)
+            observed.trace_light(switches)
         parts = observed.without(texels, [np.array([], int), *folds])
         statistics = gather_sums(inputs, parts, switches)
         posterior = calibrated_posterior(

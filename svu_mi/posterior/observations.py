@@ -19,6 +19,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import require_light
+from svu_mi.capture.surroundings import reflecting_shapes, surroundings
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
@@ -28,7 +29,7 @@ from svu_mi.frequency.sh_lobes import ShLobes
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes
-from svu_mi.geometry.texels import Texels
+from svu_mi.geometry.texels import Texels, filled_image
 from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.band_limited import Lighting, read_lighting
 from svu_mi.light.light_tree import LightTree, build_light_tree
@@ -38,13 +39,14 @@ from svu_mi.light.light_visibility import (
     trace_light_visibility,
     trace_mirror_visibility,
 )
+from svu_mi.light.near_light import NearLight, ray_count, trace_near_light
 from svu_mi.posterior.kept_results import (
     pack_light_visibility,
     pack_visibility,
     restore_light_visibility,
     restore_visibility,
 )
-from svu_mi.presets import AngularPreset, Fit, Preset, Skip
+from svu_mi.presets import AngularPreset, AnyPreset, Fit, Preset, Skip
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
 from svu_mi.statistics.censored import PASSES, find_best_models
@@ -189,6 +191,44 @@ class Observed:
         known: LightVisibility = self._rays[key]
         return known
 
+    @cached_property
+    def _has_reflectors(self) -> bool:
+        return bool(reflecting_shapes(self.capture.scene, self.capture.shape))
+
+    def trace_light(self, switches: AngularPreset) -> None:
+        """Trace the light of all directions from S texels, if not done yet."""
+        self.light_visibility(switches.cells, occluded=switches.occluded)
+        self.near_light(switches)
+
+    def near_light(self, switches: AngularPreset) -> NearLight | None:
+        """Return the light from other surfaces at S texels, traced on first use; None without."""
+        if not self.lit_by_surfaces(switches):
+            return None
+        key = "near", switches.bounces
+        if key not in self._rays:
+            self._rays[key] = self._trace_near_light(switches, self.surface)
+        near: NearLight = self._rays[key]
+        return near
+
+    def lit_by_surfaces(self, switches: AnyPreset) -> bool:
+        """Return whether light from other surfaces is modelled, and there is some."""
+        if not isinstance(switches, AngularPreset) or not switches.with_surfaces:
+            return False
+        return switches.bounces or self._has_reflectors
+
+    def _trace_near_light(self, switches: AngularPreset, surface: TexelLanes) -> NearLight:
+        key = "around", switches.bounces
+        if key not in self._of_light:
+            glow = self._glow() if switches.bounces else None
+            self._of_light[key] = surroundings(self.capture, glow)
+        scene, integrator = self._of_light[key]
+        return trace_near_light(scene, integrator, surface, ray_count(surface.count))
+
+    def _glow(self) -> np.ndarray:
+        """Return the mean radiance of each texel in the photographs, (H, W, 3)."""
+        every = self._lanes(np.arange(self.texels.count))
+        return filled_image(self.texels, self.visibility.mean_color(self.views, every))
+
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of S texels: an (S,) Float per channel, 3 or 1."""
         if not switches.occluded:
@@ -209,7 +249,9 @@ class Observed:
         mirrored, fitted = self.mirrored(switches.fit, channels, texels), None
         if mirrored is not None:
             fitted = ShLobes.of(mirrored, alpha_from_roughness(roughness), switches)
-        light = IncidentLight(self.lighting, visibility, channels)
+        light = IncidentLight(
+            self.lighting, visibility, channels, self._near_light_of(texels, switches, surface)
+        )
         return ReflectionModel.of(surface, light, roughness, switches, fitted)
 
     def mirrored(
@@ -286,6 +328,18 @@ class Observed:
 
     def _lanes(self, texels: np.ndarray) -> TexelLanes:
         return TexelLanes.of(self.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
+
+    def _near_light_of(
+        self, texels: np.ndarray | None, switches: AngularPreset, surface: TexelLanes
+    ) -> NearLight | None:
+        """Return the near light of texels; trace it if some are not in ``seen``."""
+        if texels is None or not self.lit_by_surfaces(switches):
+            return self.near_light(switches)
+        lanes = self.lane[texels]
+        if (lanes < 0).any():
+            return self._trace_near_light(switches, surface)
+        near = self.near_light(switches)
+        return near and near.subset(lanes)
 
     def _visibility_of(self, texels: np.ndarray | None, switches: AngularPreset) -> LightVisibility:
         """Return the light visibility of texels; trace it for texels that are not in ``seen``."""

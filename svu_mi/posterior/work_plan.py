@@ -49,6 +49,7 @@ def make_plan(
 ) -> Plan:
     """Return the plan and log skipped work; ``prior`` are ``log_prior`` tables."""
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
+    grey_light = grey_light and not observed.lit_by_surfaces(switches)
     # Grey photographs under coloured light need all three channels.
     grey = grey_light and observed.views.grey
     levels = np.ones(grid.shape[0], bool)

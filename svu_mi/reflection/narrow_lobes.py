@@ -14,21 +14,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.light_tree import LightCells, disk_cells
 from svu_mi.light.prefiltered import FilteredLight, filter_light
 from svu_mi.presets import AngularPreset
-from svu_mi.reflection.lobes import (
-    ALBEDO_NODES,
-    dielectric_albedo,
-    dominance,
-    lobe_profile,
-    split_sum,
-    view_albedo,
-)
-from svu_mi.reflection.wide_lobes import Lobe, LobeSums
+from svu_mi.reflection.albedo_table import AlbedoTable
+from svu_mi.reflection.lobes import dominance, lobe_profile
+from svu_mi.reflection.wide_lobes import Lobe, LobeSums, added_lobes
 
 
 @dataclass(frozen=True)
@@ -37,16 +30,13 @@ class NarrowLobes:
 
     Attributes:
         levels: light prefiltered for each width.
-        albedo: (K * ALBEDO_NODES * 2,) Float, split-sum pairs (A, B).
-        dielectric: (K * ALBEDO_NODES,) Float, albedo with exact dielectric reflectance.
         sun: cells of the sun's disk if the prefiltered light excludes it, else None.
     """
 
     switches: AngularPreset
     alpha: np.ndarray
     levels: FilteredLight
-    albedo: Any
-    dielectric: Any
+    albedo: AlbedoTable
     sun: LightCells | None = None
 
     @staticmethod
@@ -60,8 +50,7 @@ class NarrowLobes:
             switches=switches,
             alpha=alpha,
             levels=filter_light(lighting, alpha.tolist(), profile, grey=channels == 1, disk=disk),
-            albedo=to_drjit(mi.Float, split_sum(alpha).ravel()),
-            dielectric=to_drjit(mi.Float, dielectric_albedo(alpha).ravel()),
+            albedo=AlbedoTable.of(alpha, switches.fresnel),
             sun=None if disk else disk_cells(lighting.environment),
         )
 
@@ -73,7 +62,7 @@ class NarrowLobes:
             center = mirror
             if self.switches.off_specular:
                 center = dr.normalize(dr.lerp(mi.Vector3f(normal), mirror, dominance(alpha)))
-            A, B, D = self._reflected(level, alpha, cosine)
+            A, B, D = self.albedo.at(level, alpha, cosine)
             light = self.levels.radiance(level, center)
             light = [dr.select(free, value, 0) for value in light]
             result.append([(A * value, B * value, D * value) for value in light])
@@ -92,22 +81,4 @@ class NarrowLobes:
         def add(cell: Any, memory: Any) -> tuple[Any, Any]:
             return (cell + 1, *sums.add(sun, cell, sums.angles(sun, cell), free, memory))
 
-        added = sums.integrate(sun.count, add, cosine)
-        return [
-            [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
-            for both in zip(lobes, added, strict=True)
-        ]  # type: ignore[misc]
-
-    def _reflected(self, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
-        """Return (A, B, D): the albedo of a metal is R0 A + B, of a dielectric D."""
-        rule = self.switches.fresnel
-        if rule != "split_sum":
-            return view_albedo(rule, cosine, alpha)
-        place = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
-        first = mi.UInt32(place)
-        part = place - first
-        index = first + level * ALBEDO_NODES
-        here, after = (dr.gather(mi.Vector2f, self.albedo, index + step) for step in (0, 1))
-        pair = dr.lerp(here, after, part)
-        low, high = (dr.gather(mi.Float, self.dielectric, index + step) for step in (0, 1))
-        return pair.x, pair.y, dr.lerp(low, high, part)
+        return added_lobes(lobes, sums.integrate(sun.count, add, cosine))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -16,20 +17,26 @@ from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import Lighting, moment_map
 from svu_mi.light.light_visibility import LightVisibility
+from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
+from svu_mi.reflection.near_lobes import NearLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes
+from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added_lobes
 
 
 @dataclass(frozen=True)
 class IncidentLight:
-    """Light, visibility of its cells (None: unoccluded), and number of channels, 3 or 1."""
+    """Light, visibility of its cells (None: unoccluded), and number of channels, 3 or 1.
+
+    ``near`` is light from other surfaces; None without any.
+    """
 
     lighting: Lighting
     visibility: LightVisibility | None
     channels: int
+    near: NearLight | None = None
 
 
 class FittedLobes(Protocol):
@@ -48,6 +55,7 @@ class ReflectionModel:
         narrow: narrow lobes, of the first levels; or None.
         wide: wide lobes, of the remaining levels; or None.
         fitted: lobes of all levels if light is fitted per texel; or None.
+        near: lobes of all levels for light from other surfaces; or None.
         moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
 
@@ -58,6 +66,7 @@ class ReflectionModel:
     wide: WideLobes | None
     fitted: FittedLobes | None
     moments: list[list[Any]]
+    near: NearLobes | None = None
 
     @staticmethod
     def of(
@@ -80,7 +89,13 @@ class ReflectionModel:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = visibility.diffuse(surface, lighting, channels)
-        return ReflectionModel(roughness, surface, switches, narrow, wide, fitted, moments)
+        near = None
+        if light.near is not None:
+            near = NearLobes.of(light.near, channels, alpha, switches)
+            both = zip(moments, near.moments, strict=True)
+            moments = [[a + b for a, b in zip(*pair, strict=True)] for pair in both]
+            dr.eval(moments)
+        return ReflectionModel(roughness, surface, switches, narrow, wide, fitted, moments, near)
 
     @property
     def channels(self) -> int:
@@ -106,6 +121,9 @@ class ReflectionModel:
             lobes += self.narrow.reflect(normal, direction, cosine, free)
         if self.wide is not None:
             lobes += self.wide.reflect(self.surface.lane, normal, direction, cosine)
+        if self.near is not None:
+            hidden = free if self.reads_mirrors else None
+            lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine, hidden))
         shading = [
             diffuse_shading(self.switches.diffuse, moments, direction, cosine)
             for moments in self.moments

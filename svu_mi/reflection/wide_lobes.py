@@ -28,6 +28,14 @@ Lobe = list[tuple[Any, Any, Any]]
 """(p, q, d) per channel: a metal of base colour c reflects c p + q, a dielectric d."""
 
 
+def added_lobes(first: list[Lobe], second: list[Lobe]) -> list[Lobe]:
+    """Return the sums of lobes of the same widths."""
+    return [
+        [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
+        for both in zip(first, second, strict=True)
+    ]  # type: ignore[misc]
+
+
 class _CellAngles(NamedTuple):
     """Radius of a cell, its square, and cosines (normal, light), (normal, half), (light, half)."""
 

@@ -21,6 +21,7 @@ ROUGHNESS = np.array([0.0, 0.3, 0.6, 1.0])
 PAINT = {"type": "principled"}
 GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},
           "metallic": 1.0, "roughness": 0.25}  # fmt: skip
+BLACK = {"type": "diffuse", "reflectance": 0.0}
 SIZE = 12  # texels per side of the ball's chart
 
 
@@ -29,14 +30,14 @@ def angular(base="fixed", **switches):
 
 
 def walled_ball(folder):
-    """A ball, and a wall beside it that hides light from some of its texels."""
+    """A ball, and a black wall beside it that hides light from some of its texels."""
     wall = mi.ScalarTransform4f().translate([1.6, 0, 0]).rotate([0, 1, 0], -90).scale(1.5)
     return mi.load_dict(
         {
             "type": "scene",
             "light": STUDIO,
             "ball": {"type": "ply", "filename": str(write_ball(folder)), "bsdf": PAINT},
-            "wall": {"type": "rectangle", "to_world": wall, "bsdf": {"type": "diffuse"}},
+            "wall": {"type": "rectangle", "to_world": wall, "bsdf": BLACK},
         },
         optimize=False,
     )

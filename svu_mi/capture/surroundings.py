@@ -1,0 +1,99 @@
+"""Surroundings of the object: other shapes that reflect light, and the object as photographed."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
+from svu_mi.capture.replace_material import is_same, make_scene
+
+BLACK = 0.05  # largest reflectance of black cloth, paper or paint
+HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
+NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
+SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
+DEPTH, DIRECT = 6, 2  # longest paths that are traced, and paths without reflected light
+PRINTED = re.compile(r"max_depth = (\d+)")  # of Mitsuba's integrators
+
+
+def reflecting_shapes(scene: Any, target: Any) -> list[Any]:
+    """Return the shapes that may reflect visible light onto the object ``target``.
+
+    There are none if the integrator of the scene traces direct light only.
+    """
+    if path_depth(scene) <= DIRECT:
+        return []
+    others = other_shapes(scene, target)
+    return [s for s in others if _extent(s, target) > SMALL and not is_black(s.bsdf())]
+
+
+def other_shapes(scene: Any, target: Any) -> list[Any]:
+    """Return the shapes of a scene except the object."""
+    return [shape for shape in scene.shapes() if not is_same(shape, target)]
+
+
+def path_depth(scene: Any) -> int:
+    """Return the number of edges of the longest paths that the scene's integrator traces."""
+    integrator = scene.integrator()
+    if integrator is None:
+        return DEPTH
+    if integrator.class_name() == "DirectIntegrator":
+        return DIRECT
+    found = PRINTED.search(str(integrator))
+    return min(int(found[1]), DEPTH) if found else DEPTH
+
+
+def surroundings(capture: Capture, glow: np.ndarray | None) -> tuple[Any, Any]:
+    """Return the scene with an object that reflects nothing, and an integrator for it.
+
+    ``glow`` is the radiance (H, W, 3) that the object emits, row 0 at v = 0; None: it is black.
+    """
+    shape = _emitting(arrays(capture.mesh), glow)
+    lights = [e for e in capture.scene.emitters() if e.is_environment()]
+    scene = make_scene([shape, *lights, *other_shapes(capture.scene, capture.shape)])
+    reflecting = reflecting_shapes(capture.scene, capture.shape)
+    depth = path_depth(capture.scene) if reflecting else 1
+    return scene, mi.load_dict({"type": "path", "max_depth": depth})
+
+
+def _emitting(mesh: MeshArrays, glow: np.ndarray | None) -> Any:
+    """Return a black mesh that emits ``glow``."""
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
+    if glow is not None:
+        bitmap = mi.Bitmap(np.ascontiguousarray(glow, np.float32))
+        radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest"}
+        props["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
+    return make_mesh("object", mesh, props)
+
+
+def is_black(bsdf: Any) -> bool:
+    """Return whether a BSDF is certainly dark, invisible or missing.
+
+    Only diffuse and plastic BSDFs with known reflectance are classified as dark.
+    """
+    if bsdf is None or bsdf.class_name() == "Null":
+        return True
+    inputs: dict[str, list[np.ndarray]] = {}  # values and data of textures, by parameter
+    for key, value in mi.traverse(bsdf):
+        if not key.endswith("to_uv"):
+            name = NESTED.sub("", key).partition(".")[0]
+            inputs.setdefault(name, []).append(np.array(value, np.float32))
+    if bsdf.class_name() == "MaskBSDF" and not any(map(np.any, inputs.get("opacity", [1]))):
+        return True
+    colors = [*inputs.pop("reflectance", ()), *inputs.pop("diffuse_reflectance", ())]
+    gloss = [((eta - 1) / (eta + 1)) ** 2 for eta in inputs.pop("eta", ())]  # typically 4 %
+    is_diffuse = bool(colors) and set(inputs) <= HARMLESS  # other BSDFs have other parameters
+    return is_diffuse and all((values <= BLACK).all() for values in [*colors, *gloss])
+
+
+def _extent(shape: Any, target: Any) -> float:
+    """Return the solid angle / 4 pi of a shape's bounding sphere from the target's centre."""
+    low, high = (np.array(corner, np.float64) for corner in (shape.bbox().min, shape.bbox().max))
+    distance = np.linalg.norm((low + high) / 2 - np.array(target.bbox().center(), np.float64))
+    radius = np.linalg.norm(high - low) / 2
+    return float((1 - np.sqrt(1 - (radius / distance) ** 2)) / 2) if radius < distance else 1.0

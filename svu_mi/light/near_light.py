@@ -1,0 +1,112 @@
+"""Light that arrives from other surfaces: shapes around the object, and the object itself.
+
+It varies slowly over directions. Above each texel, its radiance L and the hidden part H (1 where a
+ray hits something) are expanded into spherical harmonics in the frame of the normal. Both are
+mirrored below the horizon, which makes them smooth there: only coefficients with even l + m remain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.core.arrays import to_drjit
+from svu_mi.core.local_memory import scatter_strided
+from svu_mi.geometry.sample_view import TexelLanes, fold
+from svu_mi.light.band_limited import MOMENTS
+
+DEGREE = 6
+EVEN = [l * l + l + m for l in range(DEGREE + 1) for m in range(-l, l + 1) if (l + m) % 2 == 0]
+PARTS = 4  # R, G and B of L, and H
+GOLDEN = (5**0.5 - 1) / 2
+SAMPLES, FEWEST, MOST = 2**23, 64, 1024  # rays in all, and of each texel
+
+
+@dataclass(frozen=True)
+class NearLight:
+    """Light from other surfaces at S texels.
+
+    Attributes:
+        values: (4 K S,) Float: K coefficients of R, G, B and H in the order of ``EVEN``, each of
+            all lanes.
+        moments: Diffuse moments (``LightVisibility.diffuse``), 8 (S,) Floats for R, G and B.
+        count: Opaque UInt32, S.
+    """
+
+    values: Any
+    moments: list[list[Any]]
+    count: Any
+
+    def subset(self, lanes: np.ndarray) -> NearLight:
+        """Return the light of selected lanes."""
+        chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
+        count = dr.opaque(mi.UInt32, len(lanes))
+        place = dr.arange(mi.UInt32, PARTS * len(EVEN) * len(lanes))
+        source = dr.gather(mi.UInt32, chosen, place % count) + place // count * self.count
+        values = dr.gather(mi.Float, self.values, source)
+        moments = [[dr.gather(mi.Float, x, chosen) for x in each] for each in self.moments]
+        dr.eval(values, moments)
+        return NearLight(values, moments, count)
+
+    def at(self, lane: Any, local: Any) -> list[list[Any]]:
+        """Evaluate R, G, B and H in a direction of the local frame: a Float for each degree."""
+        basis, size = dr.sh_eval(local, DEGREE), len(EVEN)
+        parts = [[mi.Float(0)] * (DEGREE + 1) for _ in range(PARTS)]
+        for part, of_degree in enumerate(parts):
+            for k, index in enumerate(EVEN):
+                value = dr.gather(mi.Float, self.values, (part * size + k) * self.count + lane)
+                l = int(index**0.5)
+                of_degree[l] = dr.fma(value, basis[index], of_degree[l])
+        return parts
+
+
+def ray_count(texels: int) -> int:
+    """Return the number of rays of each texel."""
+    return int(np.clip(SAMPLES // max(texels, 1), FEWEST, MOST))
+
+
+def trace_near_light(
+    scene: Any, integrator: Any, surface: TexelLanes, rays: int, seed: int = 0
+) -> NearLight:
+    """Trace rays to other surfaces, whose radiance ``integrator`` returns."""
+    count, sampler = surface.count, mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, seed), count)
+    number, frame = dr.opaque(mi.UInt32, rays), mi.Frame3f(surface.normal)
+    step, turn = dr.rcp(mi.Float(number)), sampler.next_1d()
+    origin = surface.position + surface.offset * surface.geometric_normal
+
+    def add(ray: Any, sampler: Any, *sums: Any) -> tuple[Any, ...]:
+        # A Fibonacci lattice on the hemisphere, turned and jittered for each texel.
+        z = (mi.Float(ray) + sampler.next_1d()) * step
+        turns = mi.Float(ray) * GOLDEN + turn
+        sin, cos = dr.sincos(2 * np.pi * (turns - dr.floor(turns)))
+        r = dr.sqrt(dr.maximum(1 - z * z, 0))
+        local = mi.Vector3f(r * cos, r * sin, z)
+        world = frame.to_world(local)
+        toward = mi.RayDifferential3f(origin, world)
+        up = dr.dot(surface.geometric_normal, world) > 0
+        hidden = up & scene.ray_test(toward, up)
+        color, _, _ = integrator.sample(scene, sampler, toward, None, hidden)
+        color = dr.select(hidden & dr.all(dr.isfinite(color)), color, 0)
+        basis = dr.sh_eval(local, DEGREE)
+        expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
+        added = [2 * value * basis[index] for value in expanded for index in EVEN]
+        for value in color:
+            for part in (value * z, value * z * (1 - z) ** 5):
+                added += [part, *(part * world)]
+        return (ray + 1, sampler, *(a + b for a, b in zip(sums, added, strict=True)))
+
+    size, zero = PARTS * len(EVEN), dr.zeros(mi.Float, count)
+    _, *sums = fold(mi.UInt32(0), number, add, sampler, *[zero] * (size + 3 * MOMENTS))
+    sums = [2 * np.pi * step * total for total in sums]
+    lanes = dr.opaque(mi.UInt32, count)
+    values = scatter_strided(
+        dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes
+    )  # fmt: skip
+    moments = [sums[first : first + MOMENTS] for first in range(size, len(sums), MOMENTS)]
+    dr.eval(values, moments)
+    return NearLight(values, moments, lanes)

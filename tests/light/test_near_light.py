@@ -1,0 +1,172 @@
+"""Light from other surfaces: closed forms, a furnace, and path-traced photographs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import leggauss
+from support.helpers import STUDIO, memory_capture, render_views, run, write_ball
+from support.walled import BLACK, angular
+
+import svu_mi as svu
+from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.core.arrays import to_drjit
+from svu_mi.errors import OptionError
+from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.geometry.texels import filled_image
+from svu_mi.light.near_light import DEGREE, trace_near_light
+from svu_mi.presets import preset
+from svu_mi.reflection.lobes import lobe_profile, zonal_factors
+from svu_mi.reflection.near_lobes import NearLobes
+
+ANGLE = 0.7  # between the axis and the rim of the disk
+RADIANCE = np.array([1.0, 2.0, 0.5])
+PATH = {"type": "path", "max_depth": 6}
+
+
+def emitting(shape, **changes):
+    """A scene of one shape that emits ``RADIANCE``."""
+    light = {"type": "area", "radiance": {"type": "rgb", "value": RADIANCE.tolist()}}
+    return mi.load_dict({"type": "scene", "a": {"type": shape, "emitter": light, **changes}})
+
+
+def texel_facing(normals):
+    """Texels at the origin with these normals."""
+    normals = np.atleast_2d(normals).astype(np.float32).T
+    normal = to_drjit(mi.Normal3f, normals)
+    return TexelLanes(
+        to_drjit(mi.Point3f, 0 * normals), normal, normal, dr.opaque(mi.Float, 1e-4)
+    )  # fmt: skip
+
+
+def traced(scene, normals, rays=4096):
+    integrator = mi.load_dict({"type": "path", "max_depth": 1})
+    return trace_near_light(scene, integrator, texel_facing(normals), rays)
+
+
+def disk_above(normal):
+    """A disk in the direction of the normal, seen under ``ANGLE``."""
+    place = mi.ScalarTransform4f().look_at(
+        (2 * np.array(normal)).tolist(), [0, 0, 0], [0.6, 0, -0.8]
+    )
+    return emitting("disk", to_world=place.scale(float(2 * np.tan(ANGLE))))
+
+
+def test_moments_of_a_disk_are_its_integrals():
+    """c0 = L pi sin^2 t, m0 = L 2 pi / 3 (1 - cos^3 t) n; the others by quadrature."""
+    normal = np.array([0.48, 0.6, 0.64])
+    near = traced(disk_above(normal), normal)
+    nodes, weights = leggauss(16)
+    z = 1 - (1 - np.cos(ANGLE)) * (nodes + 1) / 2
+    weights = weights * (1 - np.cos(ANGLE)) * np.pi
+    c0, m0 = np.pi * np.sin(ANGLE) ** 2, 2 * np.pi / 3 * (1 - np.cos(ANGLE) ** 3)
+    c1, m1 = ((weights * z ** (1 + k) * (1 - z) ** 5).sum() for k in (0, 1))
+    for moments, value in zip(near.moments, RADIANCE, strict=True):
+        found = np.array([x.numpy()[0] for x in moments])
+        expected = value * np.array([c0, *(m0 * normal), c1, *(m1 * normal)])
+        np.testing.assert_allclose(found, expected, rtol=0.02, atol=0.01)
+
+
+def test_expansion_of_a_cap_has_the_coefficients_of_both_caps():
+    """The integral of P_l over a cap, doubled by its mirror image, for even l."""
+    near = traced(disk_above([0, 0, 1]), [0, 0, 1])
+    parts = near.at(mi.UInt32(0), mi.Vector3f(0, 0, 1))
+    nodes, weights = leggauss(32)
+    z = 1 - (1 - np.cos(ANGLE)) * (nodes + 1) / 2
+    weights = weights * (1 - np.cos(ANGLE)) / 2
+    for l in range(DEGREE + 1):
+        legendre = np.polynomial.legendre.Legendre.basis(l)(z)
+        expected = 0 if l % 2 else (2 * l + 1) * (weights * legendre).sum()
+        found = [part[l].numpy()[0] for part in parts]
+        np.testing.assert_allclose(found, expected * np.append(RADIANCE, 1), atol=0.02)
+
+
+def test_lobes_in_a_furnace_see_its_radiance():
+    """Inside a bright sphere, each lobe reflects its albedo, for narrow and wide ones."""
+    near = traced(emitting("sphere", flip_normals=True, radius=10.0), [[0, 0, 1], [0.6, 0, 0.8]])
+    alpha = np.array([1e-3, 0.05, 0.3, 1.0])
+    lobes = NearLobes.of(near, 3, alpha, angular())
+    surface = texel_facing([[0, 0, 1], [0.6, 0, 0.8]])
+    direction = mi.Vector3f(0.36, 0.48, 0.8)
+    cosine = dr.dot(surface.normal, direction)
+    found = lobes.reflect(surface, direction, cosine, mi.Bool(False))
+    for level, width in enumerate(alpha.tolist()):
+        albedo = lobes.albedo.at(level, width, cosine)
+        for value, parts in zip(RADIANCE, found[level], strict=True):
+            for part, whole in zip(parts, albedo, strict=True):
+                np.testing.assert_allclose(part.numpy(), value * whole.numpy(), rtol=0.02)
+    free = lobes.reflect(surface, direction, cosine, mi.Bool(True))
+    assert np.abs([x.numpy() for x in free[0][0]]).max() < 1e-3  # the mirror ray leaves
+
+
+def test_zonal_factors_of_gaussian_lobes():
+    """Eq. 6: degree l is scaled by exp(-(alpha l)^2); narrow lobes change nothing."""
+    for alpha in (0.05, 0.2, 0.5):
+        found = zonal_factors(lobe_profile("gaussian"), alpha, DEGREE)
+        expected = np.exp(-((alpha * np.arange(DEGREE + 1)) ** 2))
+        np.testing.assert_allclose(found, expected, atol=0.02)
+    np.testing.assert_allclose(zonal_factors(lobe_profile("ggx"), 1e-3, DEGREE), 1, atol=1e-2)
+
+
+def test_unseen_texels_get_the_value_of_neighbours_that_face_alike(tmp_path):
+    """Not that of the other side of a thin plate."""
+    ball = mi.load_dict({"type": "ply", "filename": str(write_ball(tmp_path))})
+    texels = svu.texels(ball, 24)
+    up = texels.normal.z.numpy() > 0
+    values = np.where(up, 1.0, 2.0)[:, None] * np.ones((1, 3))
+    lost = np.random.default_rng(0).random(texels.count) < 0.3
+    values[lost] = np.nan
+    image = filled_image(texels, values)
+    assert np.isfinite(image).all()
+    steep = np.abs(texels.normal.z.numpy()) > 0.3
+    back = image.reshape(-1, 3)[texels.index.numpy(), 0]
+    np.testing.assert_array_equal(back[steep], np.where(up, 1.0, 2.0)[steep])
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """A ball on a black and on a bright table, photographed from above."""
+    folder = tmp_path_factory.mktemp("table")
+    paint = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]},
+             "roughness": 0.8}  # fmt: skip
+    mesh = {"type": "ply", "filename": str(write_ball(folder)), "bsdf": paint}
+    below = mi.ScalarTransform4f().translate([0, -1.02, 0]).rotate([1, 0, 0], -90).scale(6)
+    captures = []
+    for bsdf in (BLACK, {"type": "diffuse", "reflectance": 0.8}):
+        table = {"type": "rectangle", "to_world": below, "bsdf": bsdf}
+        parts = {"integrator": PATH, "light": STUDIO, "ball": mesh, "table": table}
+        scene = mi.load_dict({"type": "scene", **parts}, optimize=False)
+        ball = next(shape for shape in scene.shapes() if shape.id() == "ball")
+        sensors = sphere_sensors(ball, 12, (32, 32), lowest=0.1)
+        images = render_views(scene, sensors, 128)
+        captures.append(memory_capture(scene, images, sensors, shape=ball, mesh=ball))
+    return captures
+
+
+def base_color_below(capture):
+    """Mean base colour of seen texels that face the table."""
+    chosen = preset("default", method="angular", folds=0)
+    texels = svu.texels(capture.mesh, 12)
+    estimate = svu.estimate(capture, texels, preset=chosen, known={"metallic": 0.0})
+    below = (texels.normal.y.numpy() < 0) & estimate.posterior.observed
+    return np.array(estimate.posterior.mean("base_color"))[below].mean(axis=0)
+
+
+def test_a_table_in_the_scene_does_not_brighten_the_object(tables):
+    """It does if the scene does not contain it."""
+    black, bright = tables
+    truth = np.array([0.5, 0.3, 0.2])
+    known, ignored = map(base_color_below, (bright, replace(black, images=bright.images)))
+    assert np.abs(known / truth - 1).max() < 0.1
+    assert (ignored / truth).min() > 1.3
+
+
+def test_bounces_need_a_preset_that_traces_light(tmp_path, capsys):
+    with pytest.raises(OptionError, match="bounces"):
+        preset("fast", method="angular", bounces=True)
+    assert run("entropy", tmp_path, "--bounces", "--preset", "fast") == 2
+    assert "--bounces needs" in capsys.readouterr().err
