@@ -101,7 +101,8 @@ def _view_table(result: Check) -> Any:
 
     from svu_mi.calibration.checks.check_result import ViewMeans
 
-    table = Table("", "IoU", "edges", "colour error", box=None)
+    shown = min(SHOWN, len(result.views))
+    table = Table(f"worst {shown} of {len(result.views)}", "IoU", "edges", "colour error", box=None)
     for view in result.worst[:SHOWN]:
         table.add_row(view.name, *_fit_numbers(view))
     table.add_row(f"all {len(result.views)}", *_fit_numbers(ViewMeans.of(result.views)))

@@ -49,7 +49,7 @@ class Render(BaseCommand):
             self.start()
             with interruptible(lambda: _advice(len(list(place.draft.glob(VIEWS))))):
                 count = self._render(Progress(console), size, defines, place)
-        print_line(console, f"Wrote {count} photographs to {self.output}")
+        print_line(console, f"Wrote {count} photograph{'' if count == 1 else 's'} to {self.output}")
         return 0
 
     def _render(

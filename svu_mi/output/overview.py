@@ -74,7 +74,7 @@ def _share(axes: Axes, summary: IntervalSummary, name: str) -> None:
     axes.text(0, 0.5, share, size=32, weight="bold",
               color=style.INK, va="center")  # fmt: skip
     for place, text, color in zip((0.72, 0.28), lines, (style.INK, style.FAINT), strict=True):
-        axes.text(0.37, place, text, size=12, color=color, va="center")
+        axes.text(0.33, place, text, size=10.5, color=color, va="center")
 
 
 def _sentence(axes: Axes, text: str) -> None:

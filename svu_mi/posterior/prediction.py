@@ -67,15 +67,20 @@ class HeldOutPrediction:
     @property
     def reliable(self) -> bool:
         """True if the model or noise explains most, and no pattern of a mistake is seen."""
+        return (self.r2 >= self.limit or self.coverage >= NOISY) and not self.cause
+
+    @property
+    def limit(self) -> float:
+        """R^2 from which results are reliable."""
         alike = 1 - self.r2 > MARGIN * (1 - self.r2_of_means)
-        good = self.r2 >= (GOOD if alike else LEAST) or self.coverage >= NOISY
-        return good and not self.cause
+        return GOOD if alike else LEAST
 
     def sentence(self) -> str:
         """Return a sentence with both figures, and the likely cause of unreliable results."""
         r2, means = f"R^2 {self.r2:.2f}", f"{self.r2_of_means:.2f}"
         if self.reliable:
-            return f"Predicts held-out photographs: {r2} (means of texels: {means})."
+            good = f"good from {self.limit:g}" if self.r2 >= self.limit else "the rest is noise"
+            return f"Predicts held-out photographs: {r2}, {good} (means of texels: {means})."
         likely = f"probably, {CAUSES[self.cause]}" if self.cause else CAUSES[self.cause]
         return (
             f"Unreliable: held-out photographs are predicted with {r2}, by means of texels with "

@@ -479,6 +479,27 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
     assert same(svu.check(case.made(dark)).fixes, case.fixes)
 
 
+def test_one_photograph_without_a_light_is_too_few(capture):
+    one = replace(without_light(capture), used=(True,) + (False,) * (capture.count - 1))
+    result = svu.check(one)
+    assert not result.fits
+    (number,) = (found for found in result.findings if found.question == "number")
+    assert "at least 4 photographs of the same places, and the capture has 1" in number.sentence
+    exposures = tuple(np.linspace(1, 2, capture.count))
+    recorded = replace(one, exposures=exposures, used=capture.used)
+    gain = next(found for found in svu.check(recorded).findings if found.question == "gain")
+    assert "the recorded exposures are used, and the capture has no light; nothing" in gain.sentence
+
+
+def test_worst_views_are_ordered_by_silhouette_without_a_light(capture):
+    result = svu.check(capture)
+    views = tuple(
+        replace(result.views[0], name=name, overlap=None, contrast=value, color_error=None)
+        for name, value in (("a", 0.83), ("b", 0.81), ("c", 0.96), ("d", 0.82))
+    )
+    assert [one.name for one in replace(result, views=views).worst] == ["b", "d", "a", "c"]
+
+
 @pytest.mark.slow
 def test_a_mesh_that_shows_its_back_is_turned(capture):
     """Regression: light and texture were tested with the few seen points."""

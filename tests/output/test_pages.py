@@ -55,6 +55,7 @@ def test_the_overview_begins_with_the_known_shares(vase, drawn):
     large = [t.get_text() for t in texts(drawn[0]) if t.get_size() > 30]
     assert large == ["3 %", "100 %", ">99 %"]
     assert not overlaps(drawn[0])
+    assert max(t.get_window_extent().x1 for t in texts(drawn[0])) <= drawn[0].bbox.x1
     wrong = replace(vase.estimate, prediction=HeldOutPrediction(0.12, 0.61))
     withheld = replace(summary, known_part={}, withheld="the light was estimated")
     overview.write_overview(vase.capture, vase.estimate, "unused", withheld)

@@ -30,6 +30,7 @@ from svu_mi.calibration.checks.surface_samples import (
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
 from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.light.light_samples import FEWEST
 from svu_mi.calibration.light.light_summary import gain_sentences
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
@@ -92,7 +93,7 @@ def check(
     else:
         gain = _gain_finding(capture, small, gains)
     over = () if _axes_are_off(axial) else _saturated(capture, small)
-    findings = (*axial, gain, *over, *_ignored(capture))
+    findings = (*axial, gain, *_too_few(capture), *over, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
@@ -223,7 +224,10 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     """
     emitter = emitter_of(capture)
     if emitter is None:
-        return decisions.unknown("gain", "the capture has no light; use --gains estimate")
+        recorded = capture.exposures_known and len(set(capture.exposures)) > 1
+        known = "the recorded exposures are used, and " if recorded else ""
+        advice = "nothing is to be done" if recorded else "use --gains estimate"
+        return decisions.unknown("gain", f"{known}the capture has no light; {advice}")
     if _axes_are_off(axial):
         return decisions.unknown("gain", "cameras, mesh and light must fit first")
     sightings, points, arriving = _samples_and_light(small, emitter)
@@ -236,6 +240,18 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
         reflections = exposure_checks.Reflections.of(small.scene, points, sightings, light)
         gains = exposure_checks.relative_gains(reflections)
     return decisions.decide_gains(excess, gains, names)
+
+
+def _too_few(capture: Capture) -> tuple[Finding, ...]:
+    """Return a finding if there are too few photographs to estimate a light, or an empty tuple."""
+    count = sum(capture.used)
+    if count >= FEWEST or emitter_of(capture) is not None:
+        return ()
+    sentence = (
+        f"An unknown light needs at least {FEWEST} photographs of the same places, and the capture "
+        f"has {count}: add photographs, or give the light."
+    )
+    return (Finding(question="number", verdict="unclear", sentence=sentence),)
 
 
 def _saturated(capture: Capture, small: Capture) -> tuple[Finding, ...]:

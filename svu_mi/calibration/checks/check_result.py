@@ -8,7 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-Question = Literal["poses", "light", "texture", "gain", "saturation", "ignored"]
+Question = Literal[
+    "number", "poses", "light", "texture", "gain", "saturation", "ignored"
+]  # fmt: skip
 Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
 
@@ -34,8 +36,9 @@ class Finding:
     """Result of one test of a capture.
 
     Attributes:
-        question: Tested part: ``poses`` (cameras and mesh), ``light``, ``texture``, ``gain`` (of
-            the photographs), ``saturation`` or ``ignored`` (unsupported parts of the scene).
+        question: Tested part: ``number`` (of the photographs), ``poses`` (cameras and mesh),
+            ``light``, ``texture``, ``gain`` (of the photographs), ``saturation`` or ``ignored``
+            (unsupported parts of the scene).
         verdict: ``fits``; ``wrong`` (corrected by ``fixes``); ``unclear`` (probably wrong, with
             several possible causes or no known cause); ``unknown`` (not determined by the
             photographs); ``note`` (information only).
@@ -99,7 +102,8 @@ class Check:
     Attributes:
         views: Fit of each used photograph, in the order of the capture.
         corrected: Fit after all suggested corrections; ``views`` itself without corrections.
-        findings: Findings of poses, light, texture, gain and (if any) saturation and ignored parts.
+        findings: Findings of poses, light, texture, gain and (if any) number of photographs,
+            saturation and ignored parts.
         camera_axes: (4, 4) matrix assumed by ``camera-inverse`` (see ``apply_fixes``).
         mesh_scale: Factor of the mesh that corrects its unit; 1 if the unit is correct.
 
@@ -134,10 +138,10 @@ class Check:
     def worst(self) -> tuple[ViewCheck, ...]:
         """Views in order of their fit, worst first: by silhouette, then by colour."""
 
-        def badness(view: ViewCheck) -> tuple[float, float]:
+        def badness(view: ViewCheck) -> tuple[float, float, float]:
             shape = view.overlap if view.overlap is not None else view.contrast
             color = 1.0 if view.color_error is None else view.color_error
             # Silhouettes that differ by less than 0.1 are ordered by colour.
-            return -round(10 * (shape or 0.0)), color
+            return -round(10 * (shape or 0.0)), color, -(shape or 0.0)
 
         return tuple(sorted(self.views, key=badness, reverse=True))

@@ -68,7 +68,7 @@ class PoseScore:
     @property
     def cues(self) -> dict[str, float]:
         """Parts of the score, by name."""
-        kind = "silhouettes" if self.masked else "edges"
+        kind = "silhouettes" if self.masked else "contrast"
         return {kind: self.silhouette, "views agree": self.agreement, "texture": self.texture}
 
     @property

@@ -110,8 +110,8 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
     ahead, right = _horizon(up)
     azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
     return (
-        f"Brightest direction: elevation {elevation:.0f} and azimuth {azimuth:.0f} degrees "
-        f"({_vector(toward)} in world space)."
+        f"Brightest direction: elevation {elevation:.0f} and azimuth {azimuth:.0f} degrees from "
+        f"{_vector(ahead)} through {_vector(right)} ({_vector(toward)} in world space)."
     )
 
 

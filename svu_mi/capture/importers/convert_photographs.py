@@ -233,6 +233,7 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
         return [f"{first} {words}"] if len(names) > least else []
 
     clipped, invalid = (sum(getattr(c, name) for c in views) for name in ("saturated", "invalid"))
+    where = "" if all(c.masked for c in views) else ", in the whole photographs,"
     dark = [c.crushed for c in views if c.crushed > CRUSHED]
     kinds = " and ".join(map(str, sorted(low)))
     curves = " and ".join(sorted({c.decoded for c in views if c.bits}))
@@ -241,7 +242,8 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     return [
         *note([c.bits > 0 for c in views],
               f"are not HDR: of {kinds} bits, decoded as {curves}. {clipped} saturated "
-              "pixels are lower bounds of radiance. Clipped highlights hide gloss: use HDR."),
+              f"pixels{where} are lower bounds of radiance. Clipped highlights hide gloss: use "
+              "HDR."),
         *note([c.crushed > CRUSHED for c in views],
               f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
               "have a channel of 0): darker radiance is lost; expose longer or use HDR."),

@@ -23,6 +23,8 @@ RUN_COLMAP = (
     "--image_path images, and import the folder"
 )
 SIGNATURES = tuple((re.compile(pattern, re.DOTALL), kind, remedy) for pattern, kind, remedy in (
+    (rb"\s*(<\?xml[^>]*\?>)?\s*(<!--.*?-->\s*)*<scene\b", "a Mitsuba scene",
+     "it needs no import: svu entropy SCENE.xml --images FOLDER"),
     (rb"\s*(<\?xml[^>]*\?>)?\s*<document version=",
      "a project or cameras of Metashape",
      "in Metashape, choose File > Export > Export Cameras and the type Colmap (since 2.2; before: "
@@ -65,6 +67,8 @@ PLACES = ("*", "images/*.xmp", "keyframes/corrected_cameras/*.json", "keyframes/
 
 def refuse_foreign(path: Path) -> None:
     """Raise CaptureError for a file of another tool, or a folder that contains one."""
+    if (path / capture_folder.FILE).is_file():
+        raise CaptureError(f"{path}: was imported already; give it to other commands.")
     files = [path] if path.is_file() else [
         file for place in PLACES for file in islice(path.glob(place), LISTED) if file.is_file()
     ]  # fmt: skip
@@ -73,8 +77,6 @@ def refuse_foreign(path: Path) -> None:
             raise CaptureError(
                 f"{file}: contains {found[0]}, in a format that is not read; {found[1]}."
             )
-    if (path / capture_folder.FILE).is_file():
-        raise CaptureError(f"{path}: was imported already; give it to other commands.")
     pictures = (*files, *islice(path.glob("images/*"), LISTED))
     if any(file.suffix.lower() in SUFFIXES for file in pictures):
         raise CaptureError(f"{path}: has photographs but no poses; {RUN_COLMAP}.")

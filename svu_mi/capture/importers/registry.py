@@ -33,6 +33,7 @@ FORMATS = {
     "owl": "objects_with_lighting",
 }
 AUTO = "auto"
+SEARCHED = 100  # subfolders, if a folder has no known format
 FOLDERS = (
     "alicevision",
     "transforms",
@@ -105,6 +106,10 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     if recognised:
         kind = next((name for name in FORMATS if _recognises(name, path, options.split)), AUTO)
     if kind == AUTO:
+        inner = sorted(child for child in path.glob("*") if child.is_dir())
+        for child in inner[:SEARCHED]:
+            if any(_recognises(name, child, options.split) for name in FORMATS):
+                raise CaptureError(f"{path}: contains a capture in {child}; import that folder.")
         _module("foreign_formats").refuse_foreign(path)
         raise CaptureError(
             f"{path}: not a capture of a known format; give a folder that contains "

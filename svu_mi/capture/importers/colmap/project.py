@@ -172,8 +172,9 @@ def _possible_folders(model: Path, name: str) -> list[Path]:
 
 def project_notes(project: Project) -> Iterator[str]:
     """Yield sentences about the model that was chosen."""
+    images = "image" if len(project.views) == 1 else "images"
     yield (
-        f"{len(project.views)} images of COLMAP; its world has its own unit and up axis, and the "
+        f"{len(project.views)} {images} of COLMAP; its world has its own unit and up axis, and the "
         "mesh must use the same."
     )
     if project.others:
