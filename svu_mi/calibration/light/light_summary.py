@@ -197,4 +197,4 @@ def _horizon(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _vector(direction: np.ndarray) -> str:
-    return ", ".join(f"{value:.2f}" for value in direction)
+    return ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in direction)

@@ -107,3 +107,14 @@ def test_capture_beside_file_of_other_tool_is_read(tmp_path):
     (tmp_path / "cameras.xml").write_text(FILES["cameras.xml"][0])
     test_transforms_are_not_taken_for_other_files(tmp_path, {})
     assert len(read_source(tmp_path).frames) == 1
+
+
+def test_mitsuba_scenes_and_captures_in_subfolders_are_named(tmp_path):
+    scene = tmp_path / "scene.xml"
+    scene.write_text('<?xml version="1.0"?>\n<!-- a ball -->\n<scene version="3.0.0"/>')
+    with pytest.raises(CaptureError, match="a Mitsuba scene, .* needs no import: svu entropy"):
+        read_source(scene)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "transforms.json").write_text('{"frames": []}')
+    with pytest.raises(CaptureError, match="contains a capture in .*mine; import that folder"):
+        read_source(tmp_path)
