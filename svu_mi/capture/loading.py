@@ -166,7 +166,8 @@ def _described(path: Path, folder: Path) -> tuple[Path, Description]:
         require_no_result(path)
         raise CaptureError(
             f"{path}: neither a Mitsuba XML scene nor a capture folder with a scene; give the "
-            "scene, and this folder with --images; a capture of another tool needs svu import first."
+            "scene, and this folder with --images; captures of other tools need "
+            "svu import first."
         )
     if xml != path and not xml.is_file():
         raise CaptureError(

@@ -26,6 +26,7 @@ from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
 LONGEST = 240  # characters of Mitsuba's messages
+DEFAULT = r"""<default\s+name=["']([^"']+)"""  # parameter of a scene
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
 TRACE = re.compile(r"Traceback \(most recent call last\):\n(?:  .*\n)*(?:\w+: )?")  # of a plugin
 RESERVED = frozenset(("config", "filename"))  # other arguments of mi.parser.parse_file
@@ -92,7 +93,10 @@ def load_scene(
         except SvuError:
             raise
         except Exception as error:  # Mitsuba raises RuntimeError for everything
-            raise SceneError(_refusal(path, str(error))) from error
+            names = re.findall(DEFAULT, path.read_text(errors="replace"))
+            known = f" The file has {', '.join(f'${name}' for name in names) or 'no parameters'}."
+            unused = known if "unused parameters" in str(error) else ""
+            raise SceneError(f"{_refusal(path, str(error))}{unused}") from error
 
 
 def _refusal(path: Path, message: str) -> str:

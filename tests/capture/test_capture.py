@@ -851,3 +851,14 @@ def test_one_photograph_as_two_files_is_refused(scene):
     shutil.copy(folder / "DSC1.exr", folder / "DSC1.hdr")
     with pytest.raises(CaptureError, match=r"DSC1.exr and DSC1.hdr are the same view; keep one"):
         load_capture(scene, folder)
+
+
+@pytest.mark.parametrize(
+    ("default", "known"),
+    [('<default name="light" value="1"/>', r"\$light"), ("", "no parameters")],
+)
+def test_unknown_parameters_are_answered_with_the_known_ones(tmp_path, default, known):
+    path = tmp_path / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{default}</scene>')
+    with pytest.raises(SceneError, match=rf"unused .*foo.* The file has {known}\."):
+        load_capture(path, defines={"foo": "bar"})
