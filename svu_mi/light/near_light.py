@@ -23,7 +23,7 @@ DEGREE = 6
 EVEN = [l * l + l + m for l in range(DEGREE + 1) for m in range(-l, l + 1) if (l + m) % 2 == 0]
 PARTS = 4  # R, G and B of L, and H
 GOLDEN = (5**0.5 - 1) / 2
-SAMPLES, FEWEST, MOST = 2**23, 64, 1024  # rays in all, and of each texel
+SAMPLES, FEWEST, MOST = 2**22, 64, 512  # rays in all, and of each texel
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from contextvars import Context, copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element
 
 import drjit as dr
 import numpy as np
@@ -46,14 +47,16 @@ from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import make_scene
-from svu_mi.capture.scene import require_variant
+from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.capture.unwrap import unwrap
+from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.memory import Sizes
 from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, OptionError
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
+TABLE = 4.0  # side of a table, in diagonals of the object
 MAX_DEPTH = 6  # path depth for renderings of the written scene
 PIXELS_AT_A_TIME = 2**26  # pixels that are converted in parallel, about 60 bytes each
 NO_LIGHT = (
@@ -145,7 +148,8 @@ class ImportPlan:
             if light is not None:
                 light = replace(light, to_world=light.to_world @ fix_rotation(self.fixes, "light"))
             sensors = [frame.sensor(_clip_planes(frame, geometry.mesh)) for frame in squares]
-            notes += _write_scene(draft.folder, geometry, light, sensors)
+            table = self._table(geometry.mesh, sensors)
+            notes += _write_scene(draft.folder, geometry, light, [*table, *_sensors(sensors)])
             imported = {
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
                 "photographs": [relative_name(source.root, frame.taken) for frame in squares],
@@ -158,6 +162,17 @@ class ImportPlan:
             )  # fmt: skip
             capture_folder.write(draft, description, sensors)
         return Imported(notes, scale)
+
+    def _table(self, mesh: MeshArrays, sensors: Sequence[Any]) -> list[Element]:
+        """Return the shape of the table in the scene, if there is one."""
+        if self.options.table is None:
+            return []
+        pose = table_pose(mesh, up_of_poses(np.array(list(map(to_world, sensors)))))
+        pose[:3, 3] += self.options.table * pose[:3, 2] / np.linalg.norm(pose[:3, 2])
+        shape = scene_xml.plugin("shape", "rectangle", id="table", to_world=pose)
+        albedo = [self.options.table_albedo] * 3
+        shape.append(scene_xml.plugin("bsdf", "diffuse", reflectance=albedo))
+        return [shape]
 
     def _read_object(self) -> tuple[TexturedMesh, float | None]:
         """Read the mesh, correct and scale it, and compute missing UVs.
@@ -334,9 +349,12 @@ def _write_photographs(
 
 
 def _write_scene(
-    folder: Path, geometry: TexturedMesh, light: Light | None, sensors: Sequence[Any]
+    folder: Path, geometry: TexturedMesh, light: Light | None, others: Sequence[Element]
 ) -> list[str]:
-    """Write the scene, its mesh, textures and light; return sentences about the light."""
+    """Write the scene, its mesh, textures and light; return sentences about the light.
+
+    ``others`` are the table and the sensors.
+    """
     capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
     write_pictures(geometry.textures, folder)
     root = scene_xml.scene()
@@ -354,6 +372,21 @@ def _write_scene(
         material.append(scene_xml.bitmap(name, f"{name}.png", raw=raw, id=name))
     shape.append(material)
     root.append(shape)
-    root.extend(scene_xml.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
+    root.extend(others)
     scene_xml.write_document(root, folder / SCENE)
     return notes
+
+
+def _sensors(sensors: Sequence[Any]) -> list[Element]:
+    return [scene_xml.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors)]
+
+
+def table_pose(mesh: MeshArrays, up: np.ndarray) -> np.ndarray:
+    """Return the pose (4, 4) of a ``rectangle`` below a mesh, which touches its lowest point."""
+    center = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2
+    size = TABLE / 2 * float(np.linalg.norm(np.ptp(mesh.positions, axis=0)))
+    sides = np.linalg.svd(up[None])[2][1:]
+    pose = np.eye(4)
+    pose[:3, :3] = size * np.stack([sides[0], np.cross(up, sides[0]), up], axis=1)
+    pose[:3, 3] = center + up * ((mesh.positions @ up).min() - center @ up)
+    return pose

@@ -75,6 +75,11 @@ class ImportOptions:
     """Number of faces, at least 100, to which a mesh without UVs is simplified. Use it for scans of
     more than some 200 000 faces; at a fifth of the faces, roughness loses 1.3 to 1.6 dB. Default:
     all faces."""
+    table: float | None = None
+    """Height of a table above the lowest point of the object, in units of the poses; 0: the object
+    stands on it. "Up" is that of the cameras. Default: no table."""
+    table_albedo: float = 0.5
+    """Reflectance of the table, in [0, 1]; 0 is a black table, which only hides light."""
     environment: Light | None = None
     """Environment map (default: the map of the source, else no light)."""
     exposures: str | Path | None = None
@@ -101,6 +106,10 @@ class ImportOptions:
             raise OptionError(f"--every must be 1 (all photographs) or more, got {self.every}.")
         if self.faces is not None and self.faces < 100:
             raise OptionError(f"--faces must be 100 or more, got {self.faces}.")
+        if self.table is not None and not np.isfinite(self.table):
+            raise OptionError(f"--table must be a finite number, got {self.table}.")
+        if not 0 <= self.table_albedo <= 1:
+            raise OptionError(f"--table-albedo must be in [0, 1], got {self.table_albedo}.")
         if self.missing not in ("refuse", "leave-out"):
             raise OptionError(f"--missing must be refuse or leave-out, got {self.missing!r}.")
         if not 0 < self.mesh_scale < np.inf:

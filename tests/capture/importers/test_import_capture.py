@@ -19,9 +19,11 @@ from svu_mi.capture.importers.import_capture import ImportOptions, import_captur
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, Light, Source, frame_of
+from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.errors import OptionError
 
 POSE = 1e-5  # tolerance; a matrix is rounded to single precision once
 SAME = 0.999  # smallest Pearson correlation of entropy
@@ -160,6 +162,29 @@ def test_a_capture_comes_back_from_stanford_orb(centered, tmp_path):
 def imported(path: Path, folder: Path, options: dict[str, object]) -> svu.Capture:
     import_capture(read_source(path), folder, ImportOptions(**options))
     return svu.load_capture(folder)
+
+
+@pytest.mark.filterwarnings("ignore:Light reflected by")
+def test_a_table_stands_under_the_object(original, tmp_path):
+    """Below its lowest point along the cameras' up direction, here +Z; facing the object."""
+    source = in_z_up_world(original.source, tmp_path)
+    path = WRITERS["transforms"](tmp_path, source)
+    options = {"mesh": source.mesh, "mesh_up": "y", "world_up": "z", "every": 4}
+    below = {"table": -0.1, "table_albedo": 0.25, "environment": source.light}
+    capture = imported(path, tmp_path / "capture", {**options, **below})
+    (table,) = [shape for shape in capture.scene.shapes() if shape.id() == "table"]
+    positions = arrays(capture.shape).positions
+    pose = np.array(mi.traverse(table)["to_world"].matrix).reshape(4, 4)
+    normal = pose[:3, 2] / np.linalg.norm(pose[:3, 2])
+    np.testing.assert_allclose(normal, [0, 0, 1], atol=1e-6)
+    assert pose[2, 3] == pytest.approx(positions[:, 2].min() - 0.1, abs=1e-5)
+    wide = 2 * np.linalg.norm(np.ptp(positions, axis=0))
+    np.testing.assert_allclose(np.linalg.norm(pose[:3, :2], axis=0), wide, rtol=1e-5)
+    assert mi.traverse(table.bsdf())["reflectance.value"] == pytest.approx(0.25)
+    with pytest.raises(OptionError, match="--table-albedo must be in"):
+        ImportOptions(table=0.0, table_albedo=1.5)
+    with pytest.raises(OptionError, match="--table must be a finite number"):
+        ImportOptions(table=float("nan"))
 
 
 def check(
