@@ -167,7 +167,10 @@ class ImportPlan:
         """Return the shape of the table in the scene, if there is one."""
         if self.options.table is None:
             return []
-        pose = table_pose(mesh, up_of_poses(np.array(list(map(to_world, sensors)))))
+        up = up_of_poses(np.array(list(map(to_world, sensors))))
+        if self.options.world_up is not None:
+            up = np.eye(3)["xyz".index(self.options.world_up)]
+        pose = table_pose(mesh, up)
         pose[:3, 3] += self.options.table * pose[:3, 2] / np.linalg.norm(pose[:3, 2])
         shape = scene_xml.plugin("shape", "rectangle", id="table", to_world=pose)
         albedo = [self.options.table_albedo] * 3

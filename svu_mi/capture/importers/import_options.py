@@ -77,7 +77,7 @@ class ImportOptions:
     all faces."""
     table: float | None = None
     """Height of a table above the lowest point of the object, in units of the poses; 0: the object
-    stands on it. "Up" is that of the cameras. Default: no table."""
+    stands on it. "Up" is ``world_up``, else that of the cameras. Default: no table."""
     table_albedo: float = 0.5
     """Reflectance of the table, in [0, 1]; 0 is a black table, which only hides light."""
     environment: Light | None = None
