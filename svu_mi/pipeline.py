@@ -121,7 +121,7 @@ def _observations(
     require_light(capture_and_texels(source, texels)[0])
     observed = observations_of(source, texels, progress, skip)
     with progress.stage("Reading the light"):
-        _ = observed.lighting
+        _ = observed.distant_light
     return observed
 
 

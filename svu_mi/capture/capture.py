@@ -93,10 +93,11 @@ class Capture:
         sizes = sorted({image.shape[1::-1] for image in self.images})
         size = " x ".join(map(str, sizes[-1])) if sizes else "0 x 0"
         unused = self.count - sum(self.used)
+        lights = dict.fromkeys(emitter.class_name() for emitter in self.scene.emitters())
         parts = [
             f"{self.count} photographs of {'up to ' if len(sizes) > 1 else ''}{size}",
             *([f"{unused} unused"] if unused else []),
-            f"light {self.environment.class_name()}" if self.environment else "no light",
+            f"light {', '.join(lights)}" if lights else "no light",
             *([] if self.source is None else [f"from {self.source}"]),
         ]
         return f"<Capture {self.shape.id()}: {', '.join(parts)}>"

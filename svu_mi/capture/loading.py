@@ -24,7 +24,7 @@ from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.photographs import open_photographs, read_photographs
 from svu_mi.capture.pixel_buffer import room_for_photographs
 from svu_mi.capture.scene import (
-    find_environment,
+    find_light,
     find_sensors,
     load_scene,
     require_variant,
@@ -325,7 +325,7 @@ def _light(scene: Any, description: Description, light: Light, folder: Path) -> 
                 shell=f"{folder}: was imported without a light; estimate it with svu light, or "
                 "import it again with --environment and the environment map of the photographs.",
             )
-    return find_environment(scene, str(description.scene or folder))
+    return find_light(scene, str(description.scene or folder))
 
 
 def map_size(light: Any) -> Size:

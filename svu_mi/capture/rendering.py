@@ -22,7 +22,7 @@ from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.loading import map_size, plan_photographs
 from svu_mi.capture.mesh import chart_coverage
 from svu_mi.capture.scene import (
-    find_environment,
+    find_light,
     find_sensors,
     last_sentence,
     load_scene,
@@ -196,7 +196,7 @@ def plan_render(
         scene = load_scene(path, defines, trust=trust, float_textures=float_textures)
     label = str(path or "scene")
     needs_light = getattr(scene.integrator(), "needs_light", True)
-    light = find_environment(scene, label) if needs_light or scene.emitters() else None
+    light = find_light(scene, label) if needs_light or scene.emitters() else None
     target = find_target(scene, shape, label)
     if views is None:
         sensors = find_sensors(scene, label, "pass --views N to place some")

@@ -60,7 +60,7 @@ def replace_material(capture: Capture, material: Any, mesh: Any = None) -> Repai
         material = mi.load_dict({"type": "twosided", "material": material})
     shape.set_bsdf(material)
     # Area lights are part of their shapes.
-    lights = [e for e in capture.scene.emitters() if e.is_environment()]
+    lights = [e for e in capture.scene.emitters() if e.get_shape() is None]
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     return RepaintedScene(scene=make_scene([shape, *lights, *others]), shape=shape)
 

@@ -25,6 +25,8 @@ from svu_mi.core.io.schema import LARGEST
 from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 
+ENVIRONMENTS = ("EnvironmentMapEmitter", "ConstantBackgroundEmitter", "SunskyEmitter")
+LAMPS = ("AreaLight", "PointLight", "SpotLight", "DirectionalEmitter")
 LONGEST = 240  # characters of Mitsuba's messages
 DEFAULT = r"""<default\s+name=["']([^"']+)"""  # parameter of a scene
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
@@ -156,26 +158,43 @@ def check_sensor(sensor: Any, label: str) -> None:
 
 def find_environment(scene: Any, path: str) -> Any:
     """Return the scene's only emitter, which must be an environment emitter."""
-    supported = ("EnvironmentMapEmitter", "ConstantBackgroundEmitter", "SunskyEmitter")
+    light = find_light(scene, path)
+    if lamps := lamps_of(scene):
+        raise SceneError(
+            f"{path}: {_emitter_name(lamps[0])} is not supported here; the light must be one "
+            "distant envmap, constant or sunsky emitter. Estimates with the presets default and "
+            "fixed support lamps."
+        )
+    return light
+
+
+def find_light(scene: Any, path: str) -> Any | None:
+    """Return the environment emitter, None if there are lamps only; raise if one is unsupported."""
     emitters = scene.emitters()
     if not emitters:
         raise SceneError(
             f"{path}: the scene has no emitter; the method needs the light the photographs were "
-            "taken under: add an envmap, constant or sunsky emitter."
+            "taken under: add an envmap, constant or sunsky emitter, or lamps."
         )
     for emitter in emitters:
-        if emitter.class_name() not in supported:
-            shape = emitter.get_shape()  # area lights have no id
-            of = f"of shape '{shape.id()}'" if shape is not None else f"'{emitter.id()}'"
-            which = "an area light" if shape is not None and not shape.id() else f"emitter {of}"
+        if emitter.class_name() not in (*ENVIRONMENTS, *LAMPS):
             raise SceneError(
-                f"{path}: {which} ({emitter.class_name()}) is not supported; "
-                "the light must be one distant envmap, constant or sunsky emitter."
+                f"{path}: {_emitter_name(emitter)} is not supported; use envmap, constant, sunsky, "
+                "area, point, spot or directional emitters."
             )
-    if len(emitters) > 1:
-        names = ", ".join(f"'{emitter.id()}'" for emitter in emitters)
-        raise SceneError(f"{path}: there are several emitters ({names}); merge them into one.")
-    return emitters[0]
+    return scene.environment()
+
+
+def lamps_of(scene: Any) -> list[Any]:
+    """Return the emitters of a scene that are not its environment."""
+    return [emitter for emitter in scene.emitters() if emitter.class_name() in LAMPS]
+
+
+def _emitter_name(emitter: Any) -> str:
+    shape = emitter.get_shape()  # area lights have no id
+    of = f"of shape '{shape.id()}'" if shape is not None else f"'{emitter.id()}'"
+    which = "an area light" if shape is not None and not shape.id() else f"emitter {of}"
+    return f"{which} ({emitter.class_name()})"
 
 
 def require_light(capture: Any) -> None:

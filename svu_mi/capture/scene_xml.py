@@ -33,6 +33,10 @@ FILTERS = {
 }  # fmt: skip
 ANALYTIC = {"Sphere": "sphere", "Disk": "disk", "Cylinder": "cylinder"}
 MATERIALS = {"Principled": "principled", "SmoothDiffuse": "diffuse"}
+LAMPS = {  # names of plugins, and of their spectra
+    "AreaLight": ("area", "radiance"), "PointLight": ("point", "intensity"),
+    "SpotLight": ("spot", "intensity"), "DirectionalEmitter": ("directional", "irradiance"),
+}  # fmt: skip
 GREY = 0.5  # reflectance that replaces an unsupported material
 SAMPLES = 64  # default samples per pixel; -D spp=N overrides it
 ROWS, POLES = "svu:rows", "poles"  # EXR attribute of maps whose first and last row are the poles
@@ -217,6 +221,29 @@ def shape(source: Any, folder: Path, stem: str) -> Any:
         )
         return Comment(f" Missing: {source.class_name()} ")
     node.append(material(source.bsdf(), folder, stem))
+    if source.is_emitter():
+        node.append(lamp(source.emitter()))
+    return node
+
+
+def lamp(emitter: Any) -> Any:
+    """Return an area, point, spot or directional emitter as XML; a comment if it has a texture."""
+    params, kind = mi.traverse(emitter), emitter.class_name()
+    tag, power = LAMPS[kind]
+    if f"{power}.value" not in params or kind == "SpotLight" and "texture.value" not in params:
+        _warn(
+            f"Emitter '{emitter.id()}' ({kind}) has a texture, cannot be written and is missing in "
+            "the new scene; add it there."
+        )
+        return Comment(f" Missing: {kind} ")
+    node = plugin("emitter", tag, **{power: _plain(params[f"{power}.value"])})
+    if kind == "PointLight":
+        place = np.array(params["position"], np.float64).ravel()
+        SubElement(node, "point", name="position", value=_text(place))
+    elif kind != "AreaLight":
+        put(node, to_world=to_world(emitter))
+    if kind == "SpotLight":
+        put(node, **{key: _plain(params[key]) for key in ("cutoff_angle", "beam_width")})
     return node
 
 

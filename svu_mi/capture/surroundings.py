@@ -17,7 +17,6 @@ HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brig
 NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
 SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
 DEPTH, DIRECT = 6, 2  # longest paths that are traced, and paths without reflected light
-PRINTED = re.compile(r"max_depth = (\d+)")  # of Mitsuba's integrators
 
 
 def reflecting_shapes(scene: Any, target: Any) -> list[Any]:
@@ -25,7 +24,7 @@ def reflecting_shapes(scene: Any, target: Any) -> list[Any]:
 
     There are none if the integrator of the scene traces direct light only.
     """
-    if path_depth(scene) <= DIRECT:
+    if 0 <= path_length(scene) <= DIRECT:
         return []
     others = other_shapes(scene, target)
     return [s for s in others if _extent(s, target) > SMALL and not is_black(s.bsdf())]
@@ -36,15 +35,15 @@ def other_shapes(scene: Any, target: Any) -> list[Any]:
     return [shape for shape in scene.shapes() if not is_same(shape, target)]
 
 
-def path_depth(scene: Any) -> int:
-    """Return the number of edges of the longest paths that the scene's integrator traces."""
+def path_length(scene: Any) -> int:
+    """Return the maximum path length of a scene's integrator (-1: unlimited)."""
     integrator = scene.integrator()
-    if integrator is None:
-        return DEPTH
-    if integrator.class_name() == "DirectIntegrator":
+    if integrator is not None and integrator.class_name() == "DirectIntegrator":
         return DIRECT
-    found = PRINTED.search(str(integrator))
-    return min(int(found[1]), DEPTH) if found else DEPTH
+    match = re.search(r"max_depth = (\d+)", str(integrator))  # mi.traverse does not expose it
+    if match is None:
+        return DEPTH
+    return int(match[1]) if int(match[1]) < 2**31 else -1
 
 
 def surroundings(capture: Capture, glow: np.ndarray | None) -> tuple[Any, Any]:
@@ -53,10 +52,11 @@ def surroundings(capture: Capture, glow: np.ndarray | None) -> tuple[Any, Any]:
     ``glow`` is the radiance (H, W, 3) that the object emits, row 0 at v = 0; None: it is black.
     """
     shape = _emitting(arrays(capture.mesh), glow)
-    lights = [e for e in capture.scene.emitters() if e.is_environment()]
+    lights = [e for e in capture.scene.emitters() if e.get_shape() is None]
     scene = make_scene([shape, *lights, *other_shapes(capture.scene, capture.shape)])
     reflecting = reflecting_shapes(capture.scene, capture.shape)
-    depth = path_depth(capture.scene) if reflecting else 1
+    length = path_length(capture.scene) if reflecting else 1
+    depth = DEPTH if length < 0 else min(length, DEPTH)
     return scene, mi.load_dict({"type": "path", "max_depth": depth})
 
 

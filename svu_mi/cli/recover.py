@@ -17,6 +17,7 @@ from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
+from svu_mi.presets import preset as find_preset
 from svu_mi.recovery.recovery_options import PAPER_PRESETS
 
 if TYPE_CHECKING:
@@ -61,6 +62,9 @@ class Recover(LitCommand, ResultCommand):
     parameters: Parameters = NAMES
     """Textures to recover; the others keep their initial values (see --start)."""
     known: opt.Known = ()
+    bounces: bool = False
+    """Account for light that the object reflects onto itself, as bright as it is in the
+    photographs; takes up to twice as long. Not for the presets of the paper."""
     initial: From = None
     """Folder of the initial base_color.exr, roughness.exr and metallic.exr (default: posterior
     means for sh; 0.5 for path and the presets of the paper)."""
@@ -87,6 +91,8 @@ class Recover(LitCommand, ResultCommand):
         super().check()
         opt.parse_resolution(self.resolution)
         opt.parse_known(self.known)
+        if self.bounces and (self.preset in PAPER_PRESETS or self.method == "path"):
+            raise OptionError("--bounces needs the method sh, and no preset of the paper.")
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
         opt.require_range("--seed", self.seed, 0)
@@ -129,8 +135,9 @@ class Recover(LitCommand, ResultCommand):
         # Losses of the paper are combined with the posterior of its model.
         model = "paper" if self.preset in PAPER_PRESETS else "default"
         fixed, given = opt.parse_known(self.known), None
-        if fixed is not None:
-            given = estimate(seen, preset=model, known=fixed, progress=progress)
+        switches = find_preset(model, method="angular", bounces=self.bounces)
+        if fixed is not None or self.bounces:
+            given = estimate(seen, preset=switches, known=fixed, progress=progress)
         recovery = recover(
             given or seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
             parameters=self.parameters, start=initial, checkpoint=place.draft / CHECKPOINT,

@@ -86,7 +86,7 @@ class Relight(CaptureCommand, ResultCommand):
             capture, notes = with_map(capture, self.environment)
             for note in notes:
                 progress.say(note)
-        elif capture.environment is None:
+        elif not capture.scene.emitters():
             raise OptionError(
                 f"{self.capture.source.scene}: the capture has no light; give one with "
                 "--environment."

@@ -11,9 +11,15 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.scene import find_environment
+from svu_mi.capture.scene import find_light
 from svu_mi.light import latlong
-from svu_mi.light.environment import Environment, lat_long, read_environment, synthesize
+from svu_mi.light.environment import (
+    Environment,
+    lat_long,
+    no_environment,
+    read_environment,
+    synthesize,
+)
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
 COSINE_DEGREE, COSINE_ROWS = 16, 97
@@ -83,9 +89,12 @@ def look_up(texture: Any, local: Any) -> list[Any]:
 
 
 def read_lighting(capture: Capture, views: int) -> Lighting:
-    """Read a capture's light; band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2)."""
-    label = str(capture.source or "scene")
-    environment = read_environment(find_environment(capture.scene, label))
+    """Read a capture's distant light; band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2).
+
+    It is black if the scene has lamps only.
+    """
+    light = find_light(capture.scene, str(capture.source or "scene"))
+    environment = no_environment() if light is None else read_environment(light)
     return band_limited_lighting(environment, views)
 
 

@@ -85,6 +85,11 @@ def read_environment(emitter: Any) -> Environment:
     return Environment(grid, *disk, to_local=to_world.T)
 
 
+def no_environment() -> Environment:
+    """Return a black environment, of scenes that have lamps only."""
+    return Environment(np.zeros((9, 16, 3)), *NO_DISK, to_local=np.eye(3))
+
+
 def lat_long(local: Any) -> tuple[Any, Any]:
     """Return phi / 2 pi in [0, 1) and theta / pi of local directions."""
     if dr.is_array_v(local):

@@ -78,6 +78,7 @@ def trace_near_light(
     number, frame = dr.opaque(mi.UInt32, rays), mi.Frame3f(surface.normal)
     step, turn = dr.rcp(mi.Float(number)), sampler.next_1d()
     origin = surface.position + surface.offset * surface.geometric_normal
+    glowing = mi.ShapePtr(scene.shapes()[0])  # the object (``surroundings``)
 
     def add(ray: Any, sampler: Any, *sums: Any) -> tuple[Any, ...]:
         # A Fibonacci lattice on the hemisphere, turned and jittered for each texel.
@@ -89,9 +90,12 @@ def trace_near_light(
         world = frame.to_world(local)
         toward = mi.RayDifferential3f(origin, world)
         up = dr.dot(surface.geometric_normal, world) > 0
-        hidden = up & scene.ray_test(toward, up)
-        color, _, _ = integrator.sample(scene, sampler, toward, None, hidden)
-        color = dr.select(hidden & dr.all(dr.isfinite(color)), color, 0)
+        met = scene.ray_intersect_preliminary(toward, active=up)
+        hidden = up & met.is_valid()
+        # Lamps are sampled directly (``lamps``).
+        dark = met.shape.is_emitter() & (met.shape != glowing)
+        color, _, _ = integrator.sample(scene, sampler, toward, None, hidden & ~dark)
+        color = dr.select(hidden & ~dark & dr.all(dr.isfinite(color)), color, 0)
         basis = dr.sh_eval(local, DEGREE)
         expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
         added = [2 * value * basis[index] for value in expanded for index in EVEN]

@@ -15,6 +15,7 @@ from svu_mi.capture.content_hash import capture_key, mesh_key
 from svu_mi.capture.image_io import decoded, open_image
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.replace_material import is_same, is_two_sided
+from svu_mi.capture.surroundings import path_length
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.folder_exchange import restore
@@ -24,7 +25,6 @@ from svu_mi.errors import CaptureError, SvuError, excerpt
 from svu_mi.output.maps import ENTROPY
 from svu_mi.output.run_record import RECORD
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.relighting import path_length
 from svu_mi.recovery.svbrdf_textures import Textures
 
 FILES = {name: f"{name}.exr" for name in NAMES}
@@ -77,10 +77,13 @@ def write_scene(
     prepare_folder(folder / ASSETS)
     write_textures(textures, folder, attributes)
     scene, target = capture.scene, capture.shape
-    light = next(e for e in scene.emitters() if e.is_environment())
     root = scene_xml.scene()
     root.append(scene_xml.plugin("integrator", "path", max_depth=path_length(scene)))
-    root.append(scene_xml.environment(light, folder, ASSETS))
+    for light in scene.emitters():
+        if light.is_environment():
+            root.append(scene_xml.environment(light, folder, ASSETS))
+        elif light.get_shape() is None:
+            root.append(scene_xml.lamp(light))
     root.append(object_node(
         target.id(), arrays(capture.mesh), folder, two_sided=is_two_sided(target.bsdf())
     ))  # fmt: skip

@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
-from svu_mi.capture.scene import require_light
+from svu_mi.capture.scene import find_environment, lamps_of, require_light
 from svu_mi.capture.surroundings import reflecting_shapes, surroundings
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
@@ -32,6 +32,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels, filled_image
 from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.band_limited import Lighting, read_lighting
+from svu_mi.light.lamps import Lamps, trace_lamps
 from svu_mi.light.light_tree import LightTree, build_light_tree
 from svu_mi.light.light_visibility import (
     LightVisibility,
@@ -133,11 +134,17 @@ class Observed:
     @cached_property
     def unit(self) -> float:
         """Radiance unit: mean of the photographs; a fraction of the light if they are black."""
-        return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
+        return self.scale or DARK * float(self.distant_light.environment.coefficients(0).mean())
 
     @property
     def lighting(self) -> Lighting:
-        """Environment light, read on first use."""
+        """Environment light, for methods that support no lamps."""
+        find_environment(self.capture.scene, str(self.capture.source or "The scene"))
+        return self.distant_light
+
+    @property
+    def distant_light(self) -> Lighting:
+        """Environment light, read on first use; black if there are lamps only."""
         if "lighting" not in self._of_light:
             require_light(self.capture)
             self._of_light["lighting"] = read_lighting(self.capture, sum(self.capture.used))
@@ -148,7 +155,7 @@ class Observed:
         """Return the tree of light cells with ``fine`` fine cells; cached."""
         if fine not in self._of_light:
             coarse = min(max(fine // COARSE, 64), fine)
-            self._of_light[fine] = build_light_tree(self.lighting.environment, coarse, fine)
+            self._of_light[fine] = build_light_tree(self.distant_light.environment, coarse, fine)
         tree: LightTree = self._of_light[fine]
         return tree
 
@@ -199,6 +206,7 @@ class Observed:
         """Trace the light of all directions from S texels, if not done yet."""
         self.light_visibility(switches.cells, occluded=switches.occluded)
         self.near_light(switches)
+        self.lamps(switches)
 
     def near_light(self, switches: AngularPreset) -> NearLight | None:
         """Return the light from other surfaces at S texels, traced on first use; None without."""
@@ -209,6 +217,16 @@ class Observed:
             self._rays[key] = self._trace_near_light(switches, self.surface)
         near: NearLight = self._rays[key]
         return near
+
+    def lamps(self, switches: AngularPreset) -> Lamps | None:
+        """Return the light of lamps at S texels, traced on first use; None without lamps."""
+        lamps = lamps_of(self.capture.scene)
+        key = "lamps", switches.occluded
+        if lamps and key not in self._rays:
+            self._rays[key] = trace_lamps(
+                self.views.scene, lamps, self.surface, occluded=switches.occluded
+            )
+        return self._rays.get(key)
 
     def lit_by_surfaces(self, switches: AnyPreset) -> bool:
         """Return whether light from other surfaces is modelled, and there is some."""
@@ -234,7 +252,7 @@ class Observed:
         if not switches.occluded:
             return as_channels(self.lighting.irradiance(self.surface.normal), channels)
         moments = self.light_visibility(switches.rays).diffuse(
-            self.surface, self.lighting, channels
+            self.surface, self.distant_light, channels
         )
         return [of_channel[0] for of_channel in moments]
 
@@ -249,9 +267,13 @@ class Observed:
         mirrored, fitted = self.mirrored(switches.fit, channels, texels), None
         if mirrored is not None:
             fitted = ShLobes.of(mirrored, alpha_from_roughness(roughness), switches)
+        if not switches.traced:
+            _ = self.lighting  # refuses lamps
         light = IncidentLight(
-            self.lighting, visibility, channels, self._near_light_of(texels, switches, surface)
-        )
+            self.distant_light, visibility, channels,
+            self._near_light_of(texels, switches, surface),
+            self._lamps_of(texels, switches, surface),
+        )  # fmt: skip
         return ReflectionModel.of(surface, light, roughness, switches, fitted)
 
     def mirrored(
@@ -340,6 +362,16 @@ class Observed:
             return self._trace_near_light(switches, surface)
         near = self.near_light(switches)
         return near and near.subset(lanes)
+
+    def _lamps_of(
+        self, texels: np.ndarray | None, switches: AngularPreset, surface: TexelLanes
+    ) -> Lamps | None:
+        """Return the light of lamps at texels; trace it if some are not in ``seen``."""
+        lanes = np.zeros(0, int) if texels is None else self.lane[texels]
+        if (lanes < 0).any() and (lamps := lamps_of(self.capture.scene)):
+            return trace_lamps(self.views.scene, lamps, surface, occluded=switches.occluded)
+        known = self.lamps(switches)
+        return known if texels is None else known and known.subset(lanes)
 
     def _visibility_of(self, texels: np.ndarray | None, switches: AngularPreset) -> LightVisibility:
         """Return the light visibility of texels; trace it for texels that are not in ``seen``."""

@@ -23,6 +23,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.surroundings import path_length
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
@@ -37,7 +38,6 @@ from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, met
 from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.recovery_run import LossTerm, RecoveryRun, check_choices, require_resolution
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
-from svu_mi.recovery.relighting import path_length
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
 from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior, SmoothedStart
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
@@ -99,7 +99,7 @@ def recover(
     require_resolution(capture_and_texels(source, texels)[1], start)
     observed = observations_of(source, texels, progress)
     with progress.stage("Reading the light"):
-        _ = observed.lighting  # raises an error for a black environment map before any work
+        _ = observed.distant_light  # raises an error for a black environment map before any work
     given = source if isinstance(source, Estimate) else None
     run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)
     saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)

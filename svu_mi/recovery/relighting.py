@@ -6,7 +6,6 @@ truth = relight(capture, None, novel_light(capture), capture.sensors[:3])
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,8 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.replace_material import make_scene
-from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.surroundings import path_length
 from svu_mi.core.validation import require_spp
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import read_environment
@@ -25,7 +25,6 @@ from svu_mi.light.latlong import directions
 from svu_mi.recovery.path.textured_scene import PathScene
 from svu_mi.recovery.svbrdf_textures import Textures
 
-MAX_DEPTH = 6  # if the scene's integrator has no max_depth
 COLUMNS, ROWS = 128, 65  # resolution of ``novel_light``
 ROOM_RADIANCE = 0.15  # radiance of the room around the lamps
 # Direction (up = +Y), half of the opening angle in radians, and colour of each lamp.
@@ -83,24 +82,19 @@ def _integrator(capture: Capture, max_depth: int | None) -> Any:
     return mi.load_dict({"type": "path", "max_depth": depth})
 
 
-def path_length(scene: Any) -> int:
-    """Return the maximum path length of a scene's integrator (-1: unlimited)."""
-    integrator = scene.integrator()
-    if integrator is not None and integrator.class_name() == "DirectIntegrator":
-        return 2
-    match = re.search(r"max_depth = (\d+)", str(integrator))  # mi.traverse does not expose it
-    if match is None:
-        return MAX_DEPTH
-    return int(match[1]) if int(match[1]) < 2**31 else -1
-
-
 def novel_light(capture: Capture) -> Any:
     """Create an environment map for relighting: four coloured lamps in a dark room.
 
-    Orientation and mean radiance match the capture's environment map.
+    Orientation and mean radiance match the capture's environment map. Without one, the mean
+    radiance is that of the photographs.
     """
-    emitter = find_environment(capture.scene, "The capture")
-    brightness = read_environment(emitter).coefficients(0).mean() / np.sqrt(4 * np.pi)
+    emitter, pose = capture.environment, np.eye(4)
+    if emitter is None:
+        used = [x for x, known in zip(capture.images, capture.used, strict=True) if known]
+        brightness = float(np.mean([np.nanmean(image) for image in used]))
+    else:
+        brightness = read_environment(emitter).coefficients(0).mean() / np.sqrt(4 * np.pi)
+        pose = to_world(emitter)
     d = directions(COLUMNS, ROWS)
     radiance = np.repeat(ROOM_RADIANCE * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)  # normalised below
     for center, angle, color in LAMPS:
@@ -110,8 +104,8 @@ def novel_light(capture: Capture) -> Any:
     solid = np.sin(np.linspace(0, np.pi, ROWS))[:, None, None]
     radiance *= brightness / ((radiance * solid).sum() / (3 * COLUMNS * solid.sum()))
     bitmap = mi.Bitmap(np.ascontiguousarray(radiance, np.float32))
-    pose = mi.ScalarTransform4f(to_world(emitter))
-    return mi.load_dict({"type": "envmap", "bitmap": bitmap, "to_world": pose})
+    turned = mi.ScalarTransform4f(pose)
+    return mi.load_dict({"type": "envmap", "bitmap": bitmap, "to_world": turned})
 
 
 def with_environment(scene: Any, environment: Any | None) -> Any:

@@ -107,6 +107,17 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
     return means
 
 
+def widened_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> list[Any]:
+    """Return D G1 of lobes widened to alpha^2 + ``square`` / 4 (arguments: ``blurred_ggx``)."""
+    root, means = _root(incident), []
+    for a in (alpha * alpha for alpha in widths):
+        wide = dr.fma(0.25, square, a)
+        inverse = dr.rcp(dr.fma(up * (wide - 1), up, 1))
+        masking = dr.rcp(incident + root(dr.fma(incident * (1 - a), incident, a)))
+        means.append(wide / np.pi * inverse * inverse * 2 * incident * masking)
+    return means
+
+
 def reciprocals(values: list[Any]) -> list[Any]:
     """Return 1 / x of numbers not near 0, by a single division [Montgomery 1987]."""
     below = list(accumulate(values, lambda product, x: product * x))

@@ -16,9 +16,11 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import Lighting, moment_map
+from svu_mi.light.lamps import Lamps
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
+from svu_mi.reflection.lamp_lobes import LampLobes
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.near_lobes import NearLobes
@@ -30,13 +32,14 @@ from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added_lobes
 class IncidentLight:
     """Light, visibility of its cells (None: unoccluded), and number of channels, 3 or 1.
 
-    ``near`` is light from other surfaces; None without any.
+    ``near`` is light from other surfaces, and ``lamps`` that of lamps; None without any.
     """
 
     lighting: Lighting
     visibility: LightVisibility | None
     channels: int
     near: NearLight | None = None
+    lamps: Lamps | None = None
 
 
 class FittedLobes(Protocol):
@@ -55,7 +58,7 @@ class ReflectionModel:
         narrow: narrow lobes, of the first levels; or None.
         wide: wide lobes, of the remaining levels; or None.
         fitted: lobes of all levels if light is fitted per texel; or None.
-        near: lobes of all levels for light from other surfaces; or None.
+        near, lamps: lobes of all levels for light from other surfaces and of lamps; or None.
         moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
 
@@ -67,6 +70,7 @@ class ReflectionModel:
     fitted: FittedLobes | None
     moments: list[list[Any]]
     near: NearLobes | None = None
+    lamps: LampLobes | None = None
 
     @staticmethod
     def of(
@@ -89,13 +93,19 @@ class ReflectionModel:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = visibility.diffuse(surface, lighting, channels)
-        near = None
+        near, lamps = None, None
         if light.near is not None:
             near = NearLobes.of(light.near, channels, alpha, switches)
-            both = zip(moments, near.moments, strict=True)
-            moments = [[a + b for a, b in zip(*pair, strict=True)] for pair in both]
-            dr.eval(moments)
-        return ReflectionModel(roughness, surface, switches, narrow, wide, fitted, moments, near)
+        if light.lamps is not None:
+            lamps = LampLobes(light.lamps, channels, alpha)
+        for others in (near, lamps):
+            if others is not None:
+                both = zip(moments, others.moments, strict=True)
+                moments = [[a + b for a, b in zip(*pair, strict=True)] for pair in both]
+        dr.eval(moments)
+        return ReflectionModel(
+            roughness, surface, switches, narrow, wide, fitted, moments, near, lamps
+        )
 
     @property
     def channels(self) -> int:
@@ -124,6 +134,8 @@ class ReflectionModel:
         if self.near is not None:
             hidden = free if self.reads_mirrors else None
             lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine, hidden))
+        if self.lamps is not None:
+            lobes = added_lobes(lobes, self.lamps.reflect(self.surface, direction, cosine))
         shading = [
             diffuse_shading(self.switches.diffuse, moments, direction, cosine)
             for moments in self.moments

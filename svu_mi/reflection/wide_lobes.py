@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -46,14 +46,27 @@ class _CellAngles(NamedTuple):
     across: Any
 
 
+class Cells(Protocol):
+    """Interface of light cells (``LightCells``)."""
+
+    def at(self, cell: Any) -> tuple[Any, Any]:
+        """Return direction and radius of a cell."""
+
+    def light(self, cell: Any, channels: int) -> list[Any]:
+        """Return the irradiance by a cell, per channel."""
+
+
 class LobeSums:
     """Sums of cells under lobes of K ascending widths."""
 
     # Not a dataclass, because Dr.Jit would treat the fields as loop state.
 
-    def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
+    def __init__(
+        self, alpha: np.ndarray, channels: int, normal: Any, direction: Any,
+        profile: Callable[..., list[Any]] = blurred_ggx,
+    ) -> None:  # fmt: skip
         self.alpha, self.channels = alpha.tolist(), channels
-        self.normal, self.direction = normal, direction
+        self.normal, self.direction, self.profile = normal, direction, profile
 
     def integrate(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
         """Sum lobes over all cells; ``add(cell, sums)`` returns the next cell and new sums."""
@@ -69,7 +82,7 @@ class LobeSums:
             result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
         return result
 
-    def angles(self, cells: LightCells, cell: Any) -> _CellAngles:
+    def angles(self, cells: Cells, cell: Any) -> _CellAngles:
         """Return the radius and angles of a cell."""
         toward, radius = cells.at(cell)
         half = dr.normalize(toward + self.direction)
@@ -78,9 +91,7 @@ class LobeSums:
             up=dr.dot(self.normal, half), across=dr.dot(toward, half),
         )  # fmt: skip
 
-    def add(
-        self, cells: LightCells, cell: Any, angles: _CellAngles, free: Any, sums: Any
-    ) -> tuple[Any]:
+    def add(self, cells: Cells, cell: Any, angles: _CellAngles, free: Any, sums: Any) -> tuple[Any]:
         """Add one cell to the lobe of each width, only in lanes where it is visible (``free``)."""
         _, square, incident, up, across = angles
 
@@ -93,7 +104,7 @@ class LobeSums:
             ]
             # Perpendicular to the plane of incidence, the rotation is 1 / cos theta_d as large.
             spread = 0.5 * square * (1 + dr.rcp(across * across))
-            lobes = blurred_ggx(up, incident, self.alpha, spread)
+            lobes = self.profile(up, incident, self.alpha, spread)
             for k, (lobe, part) in enumerate(product(lobes, parts)):
                 sums[k] = dr.fma(part, lobe, sums[k])
             return (sums,)

@@ -562,12 +562,7 @@ def test_missing_files_and_folders_are_refused(scene):
 BROKEN = {
     "unknown plugin": ({"extra": '<bsdf type="plyx"/>'}, r'scene.xml: .*"plyx" not found'),
     "no sensor": ({"sensors": ""}, "the scene has no sensor; add one"),
-    "point light": ({"emitter": "point"}, "'light'.*PointLight.*not supported"),
-    "two lights": ({"extra": '<emitter type="directional" id="sun"/>'}, "'sun'"),
-    "light on a shape": (
-        {"extra": '<shape type="sphere" id="lamp"><emitter type="area"/></shape>'},
-        r"emitter of shape 'lamp' \(AreaLight\) is not supported",
-    ),
+    "projector": ({"emitter": "projector"}, r"'light' \(Projector\) is not supported; use envmap"),
     "mirrored camera": (
         {"sensors": sensor_xml(1, matrix='<scale x="-1"/><translate z="4"/>')}, "mirrored to_world"
     ),

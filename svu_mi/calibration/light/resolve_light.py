@@ -151,7 +151,7 @@ def _resolved(
     lit, factors = capture, None
     if given is not None:
         lit, factors = _under_given(capture, given, progress)
-    elif capture.environment is None:
+    elif not capture.scene.emitters():
         light = _estimated(capture, elsewhere, gains, known or {}, progress)
         lit, factors = with_light(capture, light), light.gains
     if gains and factors is None:

@@ -1,0 +1,46 @@
+"""Specular lobes of lamps: sums over their cells with the exact BRDF.
+
+Cells may be larger than narrow lobes. GGX is widened by the half-angle of the cell, which conserves
+energy and hides gaps between cells: alpha^2 + rho^2 / 4, as the half vector turns half as far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.light.lamps import Lamps
+from svu_mi.reflection.lobes import widened_ggx
+from svu_mi.reflection.wide_lobes import Lobe, LobeSums
+
+
+@dataclass(frozen=True)
+class LampLobes:
+    """Lobes of (K,) widths under lamps; ``channels`` is 3, or 1 for the mean of R, G and B."""
+
+    lamps: Lamps
+    channels: int
+    alpha: np.ndarray
+
+    @property
+    def moments(self) -> list[list[Any]]:
+        """Diffuse moments, 8 (S,) Floats per channel."""
+        if self.channels == 3:
+            return self.lamps.moments
+        return [[sum(x) / 3 for x in zip(*self.lamps.moments, strict=True)]]
+
+    def reflect(self, surface: TexelLanes, direction: Any, cosine: Any) -> list[Lobe]:
+        """Return the light of lamps that each lobe reflects towards a camera."""
+        cells = self.lamps.seen_from(surface.lane)
+        normal = mi.Vector3f(surface.normal)
+        sums = LobeSums(self.alpha, self.channels, normal, direction, widened_ggx)
+
+        def add(cell: Any, memory: Any) -> tuple[Any, Any]:
+            angles = sums.angles(cells, cell)
+            return (cell + 1, *sums.add(cells, cell, angles, mi.Bool(True), memory))
+
+        return sums.integrate(self.lamps.number, add, cosine)
