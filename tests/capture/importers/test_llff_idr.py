@@ -283,8 +283,9 @@ def test_folders_with_several_formats_are_read_as_before(tmp_path):
         (folder / "sparse").rename(model / "sparse")
         write_transforms(folder / "transforms.json", frames)
         assert read_source(folder).format == "transforms"
+    (tmp_path / "nothing").mkdir()
     with pytest.raises(CaptureError, match=r"contains transforms.json, .*poses_bounds.npy, cam"):
-        read_source(tmp_path)
+        read_source(tmp_path / "nothing")
 
 
 # --- errors ------------------------------------------------------------------
