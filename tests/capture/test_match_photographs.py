@@ -131,7 +131,7 @@ def test_a_lamp_without_an_id_is_an_area_light():
     lamp = mi.load_dict(
         {"type": "scene", "lamp": {"type": "rectangle", "id": "", "emitter": {"type": "area"}}}
     )
-    with pytest.raises(SceneError, match=r"^lamp: an area light \(AreaLight\) is not supported here"):
+    with pytest.raises(SceneError, match=r"^lamp: an area light \(AreaLight\) is not supported"):
         find_environment(lamp, "lamp")
 
 
