@@ -13,12 +13,15 @@ from support.helpers import STUDIO, memory_capture, render_views, run, write_bal
 from support.walled import BLACK, angular
 
 import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import filled_image
 from svu_mi.light.near_light import DEGREE, trace_near_light
+from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection.lobes import lobe_profile, zonal_factors
 from svu_mi.reflection.near_lobes import NearLobes
@@ -163,6 +166,27 @@ def test_a_table_in_the_scene_does_not_brighten_the_object(tables):
     known, ignored = map(base_color_below, (bright, replace(black, images=bright.images)))
     assert np.abs(known / truth - 1).max() < 0.1
     assert (ignored / truth).min() > 1.3
+
+
+def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():
+    """Photographs of radiance 1 everywhere: the light of the object is its hidden part."""
+    scene = load_scene(scenes.path("knot"), {"resolution": "24", "max_depth": "2"})
+    (knot,) = scene.shapes()
+    sensors = sphere_sensors(knot, 6, (24, 24))
+    images = [np.ones((24, 24, 3), np.float32)] * 6
+    capture = memory_capture(scene, images, sensors, shape=knot, mesh=knot)
+    observed = observe(capture, svu.texels(knot, 16))
+    near = observed.near_light(angular("default", bounces=True))
+    *colors, hidden = near.values.numpy().reshape(4, -1, len(observed.seen))
+    assert hidden[0].mean() > 0.1  # a knot hides much from itself
+    for color in colors:  # a ray in a hundred meets a face from behind, which is dark
+        np.testing.assert_allclose(color, hidden, atol=0.1)
+        assert np.abs(color - hidden).mean() < 0.01
+    assert observed.near_light(angular("default")) is None
+    some = np.array([3, 0, 3])
+    part, lanes = near.subset(some), near.values.numpy().reshape(-1, observed.surface.count)
+    np.testing.assert_array_equal(part.values.numpy().reshape(-1, 3), lanes[:, some])
+    np.testing.assert_array_equal(part.moments[0][0].numpy(), near.moments[0][0].numpy()[some])
 
 
 def test_bounces_need_a_preset_that_traces_light(tmp_path, capsys):
