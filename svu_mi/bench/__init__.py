@@ -17,6 +17,7 @@ BENCHMARKS = {
     "paths": "accuracy with indirect light and with other noise",
     "real": "held-out photographs of a real CAPTURE, predicted from the others",
     "recovery": "textures of all recovery methods, compared with the true ones",
+    "reflected": "textures under light of tables, of the object itself, and of lamps",
     "scaling": "time and memory by number of texels and of views",
     "speed": "run times of estimates and kernels, for the first object and light",
     "sureness": "share of intervals of textures and pictures that contain the truth",

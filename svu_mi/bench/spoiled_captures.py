@@ -117,12 +117,11 @@ def half_of_another(capture: Capture, other: Capture) -> Capture:
     return replace(capture, images=tuple(images), masks=tuple(masks), buffer=None)
 
 
-def on_table(capture: Capture, color: tuple[float, float, float], spp: int) -> Capture:
-    """Photograph the object on a table that the model lacks, from above."""
+def with_table(capture: Capture, color: tuple[float, float, float]) -> Capture:
+    """Put a table under the object, and the cameras above; photographs stay."""
     low, (center, size) = np.array(capture.shape.bbox().min), box_of(arrays(capture.shape))
     film = film_size(capture.sensors[0])
     above = sphere_sensors(capture.shape, capture.count, film, lowest=ABOVE)
-    capture = replace(without_masks(capture), sensors=above)
     to = mi.ScalarTransform4f().translate([center[0], low[1], center[2]])
     to = to.scale(TABLE * size / 2).rotate([1, 0, 0], -90)
     table = mi.load_dict({
@@ -131,7 +130,13 @@ def on_table(capture: Capture, color: tuple[float, float, float], spp: int) -> C
             "type": "diffuse", "reflectance": {"type": "rgb", "value": list(color)}}},
     })  # fmt: skip
     light = find_environment(capture.scene, "scene")
-    return photographed(capture, repeat(lit_by(capture, light, table)), spp)
+    return replace(without_masks(capture), sensors=above, scene=lit_by(capture, light, table))
+
+
+def on_table(capture: Capture, color: tuple[float, float, float], spp: int) -> Capture:
+    """Photograph the object on a table that the model lacks, from above."""
+    tabled = with_table(capture, color)
+    return replace(photographed(tabled, repeat(tabled.scene), spp), scene=capture.scene)
 
 
 def on_turntable(capture: Capture, spp: int) -> Capture:

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 import svu_mi as svu
-from svu_mi.bench import BENCHMARKS, calibration, light, paper, paths, scaling, sureness, verdict
+from svu_mi.bench import (
+    BENCHMARKS,
+    calibration,
+    light,
+    paper,
+    paths,
+    reflected,
+    scaling,
+    sureness,
+    verdict,
+)
 from svu_mi.bench.captures import FRONT, uneven_views
 from svu_mi.bench.cases import own_cases
 from svu_mi.bench.compared_estimators import Variant
@@ -48,6 +58,7 @@ TINY = {
     scaling: {"QUICK": scaling.ScalingSizes(
         resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
     paths: {"QUICK": (12, 2, 1)},
+    reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12},
     verdict: {"QUICK": {"views": 16, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
     table2: {"QUICK_FILM": 24, "QUICK_TEXELS": 16, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
@@ -60,7 +71,7 @@ TINY = {
 @pytest.mark.parametrize(
     ("name", "cases", "rows"),
     [("calibration", 1, 3), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
-     ("scaling", 1, 4), ("sureness", 1, 4), ("verdict", 1, 4)],
+     ("reflected", 1, 7),      ("scaling", 1, 4), ("sureness", 1, 4), ("verdict", 1, 4)],
 )  # fmt: skip
 def test_a_study_measures_every_row(name, cases, rows, tmp_path, monkeypatch):
     for module, changes in TINY.items():

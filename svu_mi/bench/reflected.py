@@ -1,0 +1,157 @@
+"""``svu bench reflected``: textures under light of tables, of the object itself, and of lamps.
+
+Posterior means and 90 % intervals of the preset ``default``, compared with the true textures, in
+photographs of direct light, of all bounces, on tables, and under four area lights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import repeat
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.bench.calibration import JUDGED, posterior_figures
+from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
+from svu_mi.bench.markdown import Column, digits, tabulate
+from svu_mi.bench.spoiled_captures import box_of, on_table, photographed, with_table
+from svu_mi.bench.study import Selection, Study
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.mesh import arrays
+from svu_mi.capture.replace_material import make_scene
+from svu_mi.core.arrays import evenly_spaced
+from svu_mi.geometry.texel_materials import parameters_at
+from svu_mi.geometry.texels import texels
+from svu_mi.pipeline import estimate
+from svu_mi.presets import preset
+
+SIZES: dict[str, Any] = {"views": 24, "film": 256, "spp": 64}
+QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
+TEXELS, QUICK_TEXELS = 128, 32  # per side
+DEPTH = "6"  # of photographs with all bounces
+GREY, BLACK = (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
+# Directions of four square area lights and their radiance, three radii from the object.
+LIGHTS = (((2, 2.5, 2), (10, 9, 8)), ((-2, 2, 1.5), (6, 7, 9)),
+          ((0.5, -2.5, 2), (5, 5, 5)), ((-0.5, 1, -3), (8, 8, 8)))  # fmt: skip
+AWAY = 3.0
+
+
+@dataclass(frozen=True)
+class ReflectedCase(CaseSubject):
+    """A case that is photographed under other light."""
+
+    @property
+    def rows(self) -> tuple[Measurement, ...]:
+        return tuple(_row(name, made) for name, made in ROWS.items())
+
+    @property
+    def photographs(self) -> dict[str, Any]:
+        """Number and size of photographs, and their samples per pixel."""
+        return QUICK if self.bench.quick else SIZES
+
+    @cached_property
+    def direct(self) -> Capture:
+        """Photographs of direct light of the environment."""
+        return self.bench.capture(self.case, "reflected", **self.photographs)
+
+    @property
+    def bounced(self) -> Capture:
+        """Photographs of all light of the environment."""
+        defines = {**self.case.defines, "max_depth": DEPTH}
+        case = replace(self.case, defines=defines)
+        return self.bench.capture(case, "reflected-bounces", **self.photographs)
+
+    def on_known_table(self, color: tuple[float, float, float]) -> Capture:
+        """Photographs on a table that is in the scene."""
+        capture = with_table(self.direct, color)
+        return photographed(capture, repeat(capture.scene), self.photographs["spp"])
+
+    @property
+    def under_lamps(self) -> Capture:
+        """Photographs under four area lights, without the environment."""
+        center, size = box_of(arrays(self.direct.shape))
+        lamps = []
+        for number, (toward, radiance) in enumerate(LIGHTS):
+            place = center + AWAY * size / 2 * np.array(toward) / np.linalg.norm(toward)
+            to = mi.ScalarTransform4f().look_at(place.tolist(), center.tolist(), [0.1, 1, 0.1])
+            light = {"type": "rgb", "value": list(radiance)}
+            lamps.append(mi.load_dict({
+                "type": "rectangle", "id": f"lamp{number}", "to_world": to.scale(0.2 * size),
+                "bsdf": {"type": "diffuse", "reflectance": 0.0},
+                "emitter": {"type": "area", "radiance": light},
+            }))  # fmt: skip
+        direct = mi.load_dict({"type": "path", "max_depth": 2})
+        capture = replace(self.direct, scene=make_scene([direct, self.direct.shape, *lamps]))
+        return photographed(capture, repeat(capture.scene), self.photographs["spp"])
+
+    def figures(self, capture: Capture, *, bounces: bool = False) -> Record:
+        """Return the scores of the posterior of a capture."""
+        layout = texels(capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
+        chosen = preset("default", method="angular", bounces=bounces)
+        found = estimate(capture, layout, preset=chosen)
+        seen = np.flatnonzero(found.posterior.observed)
+        seen = seen[evenly_spaced(len(seen), JUDGED)]
+        truth = {name: np.asarray(x)[seen] for name, x in parameters_at(capture, layout).items()}
+        predicted = found.prediction and found.prediction.r2
+        return {**posterior_figures(found.posterior, truth, seen), "r2": predicted}
+
+
+ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
+    "direct light": lambda case: case.figures(case.direct),
+    "all bounces, ignored": lambda case: case.figures(case.bounced),
+    "all bounces": lambda case: case.figures(case.bounced, bounces=True),
+    "black table": lambda case: case.figures(case.on_known_table(BLACK)),
+    "grey table, ignored": lambda case: case.figures(
+        on_table(case.direct, GREY, case.photographs["spp"])
+    ),
+    "grey table": lambda case: case.figures(case.on_known_table(GREY), bounces=True),
+    "four lamps": lambda case: case.figures(case.under_lamps),
+}
+
+
+def _row(name: str, made: Callable[[ReflectedCase], Record]) -> Measurement:
+    return Measurement(name, made)
+
+
+def _lines(record: Record) -> list[Record]:
+    """Return the mean of all cases for each row, and the rows of each case."""
+    cases = record["cells"]
+    lines = []
+    for name in ROWS:
+        rows = [case["rows"][name] for case in cases if name in case["rows"]]
+        if rows:
+            mean = {key: _mean([row[key] for row in rows]) for key in rows[0]}
+            lines.append({"case": f"**mean of {len(rows)}**", "row": name, **mean})
+    return lines + [{"case": case["cell"], "row": name, **row}
+                    for case in cases for name, row in case["rows"].items()]  # fmt: skip
+
+
+def _mean(values: list[float | None]) -> float | None:
+    """Return the mean of the numbers; R^2 is None if there are too few photographs."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _number(title: str, key: str, places: int) -> Column:
+    return Column(title, lambda line: line[key], digits(places))
+
+
+SHOWN = (
+    Column("case", lambda line: line["case"]),
+    Column("photographs", lambda line: line["row"]),
+    *(_number(f"PSNR {key}", f"psnr {key}", 1) for key in "rmc"),
+    *(_number(f"90 % {key}", f"interval {key}", 2) for key in "rmc"),
+    _number("R^2", "r2", 2),
+)
+
+
+def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
+    return Experiment("reflected", (ReflectedCase(bench, case) for case in selection.cases), True)
+
+
+STUDY = Study(title="Reflected light and lamps", experiment=_experiment, own_sizes=True,
+              tables=lambda record: [tabulate(SHOWN, _lines(record))])  # fmt: skip
