@@ -35,7 +35,7 @@ from svu_mi.posterior.kept_results import (
     restore_share,
 )
 from svu_mi.posterior.kernel import observed_by
-from svu_mi.posterior.metal_share import METAL_SAMPLE, learned_metal_share
+from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_metal_share
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest
@@ -134,7 +134,7 @@ def with_metal_share(
     if inputs.observed.capture.light_uncertainty is not None:
         switches = replace(switches, bare_metals=0.0)
     given = inputs.prior is not None or switches.metal_share is not None
-    if given or switches.noise != "estimated" or "metallic" in inputs.grid.known:
+    if given or switches.noise != "estimated" or knows_metals(inputs.grid):
         return switches
     seen = inputs.observed
 

@@ -26,6 +26,11 @@ EVEN = 0.3  # e
 METAL_SAMPLE = 400  # number of texels
 
 
+def knows_metals(grid: PrincipledGrid) -> bool:
+    """Return whether metallic is known."""
+    return "metallic" in grid.known
+
+
 def learned_metal_share(
     factors: Factors, grid: PrincipledGrid, scale: float, switches: AngularPreset, **options: Any
 ) -> float:
