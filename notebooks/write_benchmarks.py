@@ -160,6 +160,17 @@ def verdicts(record: Record) -> list[Row]:
     })  # fmt: skip
 
 
+def reflections(record: Record) -> list[Row]:
+    """Return the PSNR and intervals of roughness, metallic and base colour for each light."""
+    names = dict.fromkeys(name for case in record["cells"] for name in case["rows"])
+    found = {name: rows_of(record, name) for name in names}
+    return [
+        [name, *(" / ".join(f"{mean(row[f'{what} {key}'] for row in rows):{form}}" for key in "rmc")
+                 for what, form in (("psnr", ".1f"), ("interval", ".2f")))]
+        for name, rows in found.items()
+    ]  # fmt: skip
+
+
 def lights(record: Record) -> list[Row]:
     return bars(record, {
         "correlation of the environment maps: mean / worst glossy case":
@@ -348,6 +359,13 @@ SECTIONS = (
         "Nine mistakes, three captures of each: estimates should call them unreliable, and name the "
         "cause. The limits were chosen on the same objects under `window` and `studio`.",
         {"verdict": verdicts},
+    ),
+    Section(
+        "Tables, bounces and lamps",
+        "Posterior means and 90 % intervals in photographs of direct light, of all bounces, on tables, "
+        "and under four area lights: PSNR, and share of intervals with the truth, of roughness, "
+        "metallic and base colour.",
+        {"reflected": reflections},
     ),
     Section(
         "Light estimated from the photographs",
