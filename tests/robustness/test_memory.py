@@ -284,7 +284,7 @@ def test_each_command_names_a_remedy(monkeypatch):
         "; reading photographs of at most 1000 x 500 pixels needs 0.92 GB."
     )
     assert refused(needed("export", (), (2048, 2048), model="")).endswith(
-        "; svu recover --resolution 1024 needs 0.9 GB."
+        "; svu recover --resolution 1024 needs 0.92 GB."
     )
 
 
