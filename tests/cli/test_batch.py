@@ -72,7 +72,7 @@ def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
     (folder / "notes").mkdir()
     assert [item.name for item in read_list(folder)] == ["a", "b"]
     head = "capture, name, resolution, light"
-    path = table(tmp_path, head, "shelf/b,,32 16", "shelf/a, first,, l.exr", "")
+    path = table(tmp_path, head, "shelf/b,,32 16", "shelf/a, first,, l.exr,,", "")
     items = read_list(path)
     assert [item.name for item in items] == ["b", "first"]
     assert items[0].options == {"resolution": "32 16"}
@@ -89,6 +89,7 @@ def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
     (["capture,resolution", "shelf/a,16 --trust"], "line 2: '16 --trust' is not a resolution"),
     (["capture,resolution", "shelf/a,16 8 4"], "line 2: '16 8 4' is not a resolution"),
     (["capture,resolution", "shelf/a,0"], "list.csv, line 2: '0' is not a resolution"),
+    (["capture,light", "shelf/a", "shelf/a,my,.exr"], "line 3: '.exr' is in no column; put a cell"),
 ])  # fmt: skip
 def test_what_a_table_cannot_say_is_a_sentence(shelf_of, tmp_path, lines, sentence):
     shelf_of("a")

@@ -109,14 +109,11 @@ def _read_table(path: Path) -> list[BatchItem]:
             f"{path}: has {cause}; its first line must name the columns: capture "
             f"and, optionally, name, {', '.join(OPTIONS)}, each once."
         )
-    return [
-        _parse_row(path, number, dict(zip(head, row, strict=False)))
-        for number, row in enumerate(rows[1:], 2)
-        if any(row)
-    ]
+    return [_parse_row(path, k, head, row) for k, row in enumerate(rows[1:], 2) if any(row)]
 
 
-def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
+def _parse_row(table: Path, line: int, head: Sequence[str], cells: Sequence[str]) -> BatchItem:
+    row, beyond = dict(zip(head, cells, strict=False)), "".join(cells[len(head) :])
     word = row.get("capture", "")
     capture = table.parent / word
     default = capture.parent.name if capture.suffix == ".xml" else capture.resolve().name
@@ -124,6 +121,8 @@ def _parse_row(table: Path, line: int, row: dict[str, str]) -> BatchItem:
     options = {key: row[key] for key in OPTIONS if row.get(key)}
     size = options.get("resolution", "1")
     for value, fine, problem in (
+        (beyond, not beyond,
+         "is in no column; put a cell that contains commas in quotation marks."),
         (word, word and capture.exists(),
          "is not a capture; give the path of a folder or scene, relative to the table."),
         (name, NAME.fullmatch(name),
