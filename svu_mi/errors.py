@@ -75,6 +75,16 @@ class SvuWarning(UserWarning):
     """
 
 
+def counted(number: float, noun: str) -> str:
+    """Return a number with its noun: ``1 photograph``, ``3 photographs``."""
+    return f"{number:g} {noun}{'' if number == 1 else 's'}"
+
+
+def are(number: int) -> str:
+    """Return the verb of a number of things: ``is`` or ``are``."""
+    return "is" if number == 1 else "are"
+
+
 def printable(value: object) -> str:
     """Return text that is safe to print in one line of a terminal, such as a file name.
 

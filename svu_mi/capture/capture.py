@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.array_cache import ArrayCache
-from svu_mi.errors import SvuWarning
+from svu_mi.errors import SvuWarning, counted
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Capture:
         unused = self.count - sum(self.used)
         lights = dict.fromkeys(emitter.class_name() for emitter in self.scene.emitters())
         parts = [
-            f"{self.count} photographs of {'up to ' if len(sizes) > 1 else ''}{size}",
+            f"{counted(self.count, 'photograph')} of {'up to ' if len(sizes) > 1 else ''}{size}",
             *([f"{unused} unused"] if unused else []),
             f"light {', '.join(lights)}" if lights else "no light",
             *([] if self.source is None else [f"from {self.source}"]),

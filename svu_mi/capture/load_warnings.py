@@ -6,7 +6,7 @@ known to be correct only for closed surfaces, whose front must be outside.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,10 @@ from svu_mi.capture.photographs import Photograph
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.capture.surroundings import NESTED, reflecting_shapes
 from svu_mi.core.arrays import evenly_spaced, to_drjit
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError, are, counted, excerpt
 
 NAMED = 3  # photographs that a message lists by name
+FEWEST_FOR_LIGHT = 4  # views of a texel needed to estimate light or gains: it has 5 unknowns
 # Assumed values of the ``principled`` parameters that are not estimated.
 ASSUMED = {
     "specular": 0.5, "eta": 1.5, "anisotropic": 0.0, "clearcoat": 0.0, "sheen": 0.0,
@@ -64,17 +65,41 @@ def check_photographs(
         group = [one for one in taken if one[0].bits == bits]
         text = (
             f"{bits}-bit, not HDR; decoded as {_curves(group)}, "
-            f"{sum(one[0].saturated for one in group)} "
-            "saturated pixels are lower bounds of radiance. Clipped highlights hide gloss: use HDR."
+            f"{sum(_saturated(photograph) for photograph, _, _ in group)} saturated pixels"
+            f"{clipped_where(one[0].mask is not None for one in group)}"
         )
         groups.append((group, text))
     count = sum(one[0].invalid for one in taken)
-    text = f"{count} pixels are NaN, infinite or negative; ignored."
+    text = f"{counted(count, 'pixel')} {are(count)} NaN, infinite or negative; ignored."
     groups.append(([one for one in taken if one[0].invalid], text))
     black = [one for one in taken if one[0].black]
     text = "entirely black, not used; check the exposure, or remove the photograph and its"
     groups.append((black, f"{text} sensor."))
     return [f"{_subject(group, len(taken))}: {text}" for group, text in groups if group], used
+
+
+def too_few_for_light(count: int) -> str | None:
+    """Return a sentence if ``count`` photographs are too few to estimate the light."""
+    if count >= FEWEST_FOR_LIGHT:
+        return None
+    return (
+        f"An unknown light needs at least {FEWEST_FOR_LIGHT} photographs of the same places, and "
+        f"the capture has {count}: add photographs, or give the light."
+    )
+
+
+def clipped_where(masked: Iterable[bool]) -> str:
+    """Return the end of a sentence about saturated pixels of photographs."""
+    background = "" if all(masked) else ", with the background,"
+    return f"{background} are lower bounds of radiance. Clipped highlights hide gloss: use HDR."
+
+
+def _saturated(photograph: Photograph) -> int:
+    """Return the number of saturated pixels, only on the object if there is a mask."""
+    if photograph.clipped is None:
+        return 0
+    on_object = True if photograph.mask is None else photograph.mask
+    return int(((photograph.clipped.channels > 0) & on_object).sum())
 
 
 def _curves(group: Sequence[tuple[Photograph, Path, str]]) -> str:

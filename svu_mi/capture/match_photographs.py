@@ -12,7 +12,7 @@ from typing import Literal
 from svu_mi.capture.capture_folder import FILE
 from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
 from svu_mi.core.io.folder_exchange import restore
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError, are, counted, excerpt
 
 Missing = Literal["refuse", "leave-out"]
 VIEW, MASK = "view_", "mask_"
@@ -122,8 +122,8 @@ def _by_name(
     by_name = _by_stem(folder, pictures)
     if absent := [name for name in expected if name not in by_name]:
         lack = (
-            f"{folder}: {len(absent)} of {len(expected)} photographs are missing, first "
-            f"{absent[0]}.exr"
+            f"{folder}: {len(absent)} of {len(expected)} photographs {are(len(absent))} missing, "
+            f"first {absent[0]}.exr"
         )
         if len(absent) == len(expected):
             error = NoPhotographsError(f"{lack}; {_remedy(folder)}.")
@@ -135,8 +135,9 @@ def _by_name(
             )
     if extra := [name for name in by_name if name not in set(expected)]:
         raise CaptureError(
-            f"{by_name[extra[0]]}: no sensor has this name; the folder has {len(by_name)} "
-            f"photographs for {len(expected)} sensors. Remove the extra images or add sensors."
+            f"{by_name[extra[0]]}: no sensor has this name; the folder has "
+            f"{counted(len(by_name), 'photograph')} for {counted(len(expected), 'sensor')}. "
+            "Remove the extra images or add sensors."
         )
     names = [by_name[name].name if name in by_name else f"{name}.exr" for name in expected]
     return Match([by_name.get(name) for name in expected], names, [])
@@ -165,9 +166,10 @@ def _in_order(
     _by_stem(folder, pictures)
     if len(pictures) != len(ids):
         leaves_out = missing == "leave-out" and len(pictures) < len(ids)
+        both = f"{counted(len(pictures), 'photograph')} for {counted(len(ids), 'sensor')}"
         raise CaptureError(
-            f"{folder}: {len(pictures)} photographs for {len(ids)} sensors cannot be assigned by "
-            "their names; name them view_0000, ... by the index of their sensor, or by its id"
+            f"{folder}: {both} cannot be assigned by their names; name them view_0000, ... by the "
+            "index of their sensor, or by its id"
             f"{'' if leaves_out else ', or give one per sensor'}."
         )
     ends = [f"{excerpt(pictures[k].name, LONGEST)} is sensor {k}{_id(ids[k])}"

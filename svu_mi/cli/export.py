@@ -22,7 +22,7 @@ Result = Annotated[Path, Positional, arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
 Formats = Annotated[tuple[Format, ...], arg(metavar="{exr,png,glb,xml,materialx} ...")]
 Maps = Annotated[Path | None, arg(metavar="FOLDER")]
-Gutter = Annotated[int | None, arg(metavar="TEXELS")]
+Gutter = Annotated[int | None, arg(metavar="TEXELS", help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

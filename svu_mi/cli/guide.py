@@ -56,12 +56,12 @@ class Guide(EstimateCommand):
     or Mitsuba XML); the word scene: its sensors without a photograph."""
     add: int = 5
     """Number of poses to propose, at least 1; each assumes photographs at the earlier ones."""
-    lowest: float | None = None
+    lowest: opt.Number = None
     """Lowest elevation on the sphere in degrees, in [-90, 90); 0: the upper hemisphere, for an
     object on a table (default: -90)."""
     up: Up = (0.0, 1.0, 0.0)
     """Up direction of the sphere and of the direction map."""
-    distance: float | None = None
+    distance: opt.Number = None
     """Radius of the sphere in units of the scene (default: median distance of the photographs)."""
     reachable: Path | None = None
     """File with the numbers of reachable candidates, separated by white space or as a JSON list;

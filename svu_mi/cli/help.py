@@ -89,6 +89,12 @@ def command_help(name: str, command: Any) -> str:
     return "\n\n".join(usage + listed)
 
 
+def flags_of(command: Any) -> list[str]:
+    """Return all options of a command: ``--mesh``, ``--no-cache``."""
+    with REGISTRY:
+        return re.findall(r"--[a-z][a-z-]*", " ".join(each[2] for each in _options(command)))
+
+
 def _options(source: Callable[..., Any], title: str = OTHERS) -> Iterator[tuple[str, ...]]:
     """Yield name, group title, flags and help text of each option of a class or constructor."""
     hints, texts = typing.get_type_hints(source, include_extras=True), _texts(source)

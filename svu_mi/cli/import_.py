@@ -20,7 +20,7 @@ from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.loading import require_memory
-from svu_mi.cli.shared_options import Output, Overwrite
+from svu_mi.cli.shared_options import Count, Number, Output, Overwrite
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
@@ -62,6 +62,8 @@ class Conversion(ImportOptions):
 
     mesh: Mesh = None
     environment: Annotated[Light | None, arg(constructor=_light)] = None
+    faces: Count = None
+    table: Number = None
     exposures: Gains = None
     response: Curve = None
     fixes: Fixes = ()

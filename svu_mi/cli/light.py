@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
 
 Depths = Annotated[tuple[tuple[int, int], ...], arg(metavar="CELLS ROUNDS ...")]
-Card = Annotated[tuple[float, float, float] | None, arg(metavar="U V ALBEDO")]
+Card = Annotated[
+    tuple[float, float, float] | None, arg(metavar="U V ALBEDO", help_behavior_hint="")
+]
 Switch = FlagCreatePairsOff[bool]
 MIN_SCALE = 1e-6  # factor of brightness
 FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side for comparing base colours
@@ -57,9 +59,9 @@ class FindLight(CaptureCommand, ResultCommand):
     known: opt.Known = ()
     background: Literal["none", "distant"] = "none"
     """distant: pixels outside the object show the light; wrong in a light tent or near walls."""
-    light_scale: float | None = None
+    light_scale: opt.Number = None
     """Factor of the estimated radiance, if the brightness is known (default: 1)."""
-    mean_albedo: float | None = None
+    mean_albedo: opt.Number = None
     """Mean base colour of the seen surface, in (0, 1]; sets the brightness (default: unknown)."""
     grey_card: Card = None
     """Texture coordinates of a grey spot that is not metallic, and its base colour, all in [0, 1];

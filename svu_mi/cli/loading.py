@@ -13,7 +13,7 @@ from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.core.memory import Need, Sizes, search_bytes
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError, SvuWarning
+from svu_mi.errors import OptionError, SvuWarning, counted
 from svu_mi.parameters import MIXED
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class CaptureCommand(BaseCommand):
                 raise
             raise OptionError(
                 f"{source.scene}: no photographs next to it; give their folder with --images, or "
-                f"--render to render the scene itself ({error.sensors} sensors)."
+                f"--render to render the scene itself ({counted(error.sensors, 'sensor')})."
             ) from error
 
     def _render(self, progress: Progress, need: NeedFunc) -> Capture:

@@ -24,7 +24,7 @@ from svu_mi.cli.doctor import Doctor
 from svu_mi.cli.entropy import Entropy
 from svu_mi.cli.export import Export
 from svu_mi.cli.guide import Guide
-from svu_mi.cli.help import REGISTRY, command_help, overview
+from svu_mi.cli.help import REGISTRY, command_help, flags_of, overview
 from svu_mi.cli.import_ import Import
 from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
@@ -51,6 +51,7 @@ GROUPS: dict[str, dict[str, Any]] = {
 }
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 DESCRIPTION = "Uncertainty of the reflectance of each texel, estimated from photographs."
+SIMILAR = 0.75  # ratio of a proposed option to a misspelt one
 LONGEST = 200  # characters of a path in a message
 ROOM = "make room, or write to another disk"
 REMEDIES = {
@@ -81,10 +82,23 @@ def parse(name: str = "", *words: str) -> Any:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         remedy = f"did you mean {near[0]}?" if near else "svu --help lists the commands."
         raise OptionError(f"{excerpt(name)}: no such command; {remedy}" if name else remedy)
-    return tyro.cli(
+    command, unknown = tyro.cli(
         COMMANDS[name], prog=f"svu {name}", args=repeat_known(words), registry=REGISTRY,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), return_unknown_args=True,
     )  # fmt: skip
+    if unknown:
+        raise OptionError(_unknown(name, unknown[0]))
+    return command
+
+
+def _unknown(name: str, word: str) -> str:
+    """Return a sentence about a word that a command does not take."""
+    option = excerpt(word.partition("=")[0])
+    if not word.startswith("-"):
+        return f"{excerpt(word)}: svu {name} takes no such argument; svu {name} --help lists all."
+    near = difflib.get_close_matches(option, flags_of(COMMANDS[name]), 1, SIMILAR)
+    remedy = f"did you mean {near[0]}?" if near else f"svu {name} --help lists all."
+    return f"{option}: no such option of svu {name}; {remedy}"
 
 
 def _run(arguments: Sequence[str]) -> int:

@@ -53,11 +53,11 @@ class Recover(LitCommand, ResultCommand):
     sharing: bool = False
     """Learn a prior from all texels, for objects of few materials. The presets of the paper then
     use its Eq. 14 and 15."""
-    tv: float | None = None
+    tv: opt.Number = None
     """Weight of total variation, at least 0; larger: smoother (default: from the preset)."""
-    epochs: float | None = None
+    epochs: opt.Number = None
     """Number of times that path uses each pixel, more than 0 (default: from the preset)."""
-    steps: int | None = None
+    steps: opt.Count = None
     """Gradient steps of sh, at least 1 (default: from the preset)."""
     parameters: Parameters = NAMES
     """Textures to recover; the others keep their initial values (see --start)."""

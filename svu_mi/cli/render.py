@@ -10,12 +10,13 @@ from rich.console import Console
 
 from svu_mi.cli.base_command import BaseCommand, interruptible
 from svu_mi.cli.loading import photograph_memory
-from svu_mi.cli.shared_options import Output, Overwrite, SceneOptions, Size, parse_size
+from svu_mi.cli.shared_options import Count, Output, Overwrite, SceneOptions, Size, parse_size
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_spp, require_views
+from svu_mi.errors import are, counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +32,7 @@ class Render(BaseCommand):
     """Samples per pixel; more reduce noise."""
     seed: int = 0
     """Random seed, at least 0."""
-    views: int | None = None
+    views: Count = None
     """Number of sensors to place on a sphere around the object (default: the scene's sensors)."""
     resolution: Size = (512,)
     """Film size of --views sensors in pixels: one number, or width and height."""
@@ -49,7 +50,7 @@ class Render(BaseCommand):
             self.start()
             with interruptible(lambda: _advice(len(list(place.draft.glob(VIEWS))))):
                 count = self._render(Progress(console), size, defines, place)
-        print_line(console, f"Wrote {count} photograph{'' if count == 1 else 's'} to {self.output}")
+        print_line(console, f"Wrote {counted(count, 'photograph')} to {self.output}")
         return 0
 
     def _render(
@@ -69,5 +70,6 @@ class Render(BaseCommand):
 
 def _advice(views: int) -> str:
     if views:
-        return f"interrupted; {views} views are kept: continue with the same command and --resume"
+        kept = f"{counted(views, 'view')} {are(views)} kept"
+        return f"interrupted; {kept}: continue with the same command and --resume"
     return "interrupted before the first view; run the same command again"

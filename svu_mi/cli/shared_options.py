@@ -43,6 +43,9 @@ Memory = Annotated[
         "temporary file in TMPDIR (default: half of the free memory).",
     ),
 ]
+# Numbers without a default; the parser would add "(default: None)" to their help texts.
+Number = Annotated[float | None, arg(help_behavior_hint="")]
+Count = Annotated[int | None, arg(help_behavior_hint="")]
 Missing = Literal["refuse", "leave-out"]
 Size = Annotated[tuple[int, ...], arg(metavar="SIZE | WIDTH HEIGHT")]
 Resolution = Annotated[

@@ -13,6 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, resized_sensor
 from svu_mi.capture.tonemap import SIDE, ObjectView, object_only_scene
 from svu_mi.core.identifiers import plain_name
+from svu_mi.errors import counted
 from svu_mi.guidance.guidance_result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style
@@ -114,7 +115,7 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
         f"method {guidance.method}",
         f"preset {estimate.preset.name}",
         f"strategy {options.strategy}",
-        f"{sum(capture.used)} photographs",
+        counted(sum(capture.used), "photograph"),
         f"{reachable} of {guidance.candidates.count} candidates reachable",
         f"{width} × {height} texels, {grouped(looked_at)} of "
         f"{grouped(guidance.texels.count)} evaluated",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.tonemap import srgb
+from svu_mi.errors import counted
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import EstimateArrays, label_of, open_axes
 from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals, has_estimated_light
@@ -122,7 +123,7 @@ def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
             name="coverage", estimate=estimate, values=lambda: result.coverage,
             scale=Scale(
                 colormap=VIEWS_COLORMAP, high=most, label="views that see the texel",
-                ends=("no photograph", f"{most} photographs"),
+                ends=("no photograph", counted(most, "photograph")),
             ),
             sentence="Number of photographs that see each point. Many photographs do not imply low "
             "entropy.",

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, counted
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimators import inflated
 from svu_mi.posterior.observations import Observed, observe
@@ -60,7 +60,7 @@ class Estimate:
         mean = float(np.array(self.entropy, np.float64).mean())
         return (
             f"<Estimate {self.method}: mean entropy {mean:.2f} of {self.texels.count} texels, "
-            f"{seen.mean():.0%} seen in {len(self.seen_per_view)} photographs>"
+            f"{seen.mean():.0%} seen in {counted(len(self.seen_per_view), 'photograph')}>"
         )
 
     @property

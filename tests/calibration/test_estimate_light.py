@@ -30,7 +30,7 @@ from svu_mi.calibration.light.gauss_newton import (
     normal_equations,
 )
 from svu_mi.calibration.light.light_prior import SD, BackgroundPixels, prior_of
-from svu_mi.calibration.light.light_samples import FACING, FEWEST, TexelSamples
+from svu_mi.calibration.light.light_samples import FACING, TexelSamples
 from svu_mi.calibration.light.light_summary import compare_lights
 from svu_mi.calibration.light.light_transport import (
     WIDENED,
@@ -258,7 +258,7 @@ def test_the_level_is_asked_of_views_that_face_the_surface():
     """Steep views and rarely seen texels are removed; other samples are unchanged."""
     samples, _ = made_up(12, 9)
     steep = np.where(samples.owner < 3, 0.2, 0.9).astype(np.float32)
-    steep[samples.owner == 5] = np.where(np.arange(9) < FEWEST - 1, 0.9, FACING)
+    steep[samples.owner == 5] = np.where(np.arange(9) < 3, 0.9, FACING)
     samples = replace(samples, cosine=steep)
     facing, which = samples.without_steep_views()
     left = [3, 4, 6, 7, 8, 9, 10, 11]

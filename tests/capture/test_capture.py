@@ -350,7 +350,7 @@ def test_photographs_are_matched_by_the_ids_of_their_sensors(scene):
     assert capture.names == capture.files == ("night.exr", "evening.exr", "cam2.exr")
     assert [round(float(image.mean()), 3) for image in capture.images] == [0.1, 0.2, 0.3]
     (folder / "cam2.exr").rename(folder / "cam3.exr")
-    message = r"1 of 3 photographs are missing, first cam2.exr; add them, or continue without them"
+    message = r"1 of 3 photographs is missing, first cam2.exr; add them, or continue without them"
     with pytest.raises(CaptureError, match=message):
         load_capture(scene)
     with pytest.raises(CaptureError, match="cam3.exr: no sensor has this name; the folder has 3"):
@@ -387,7 +387,7 @@ def test_photographs_of_any_name_are_in_natural_order(tmp_path, mask):
 def test_textures_beside_a_scene_are_no_photographs(tmp_path):
     path = write_scene(tmp_path, sensors=sensor_xml(1))
     write_exr(tmp_path / "base_color.exr", {"RGB": np.ones((24, 24, 3))})
-    message = f"{tmp_path}: 1 of 1 photographs are missing, first view_0000.exr; no image there"
+    message = f"{tmp_path}: 1 of 1 photographs is missing, first view_0000.exr; no image there"
     with pytest.raises(CaptureError, match=message):
         load_capture(path)
 
@@ -452,7 +452,7 @@ def written(data):
 PHOTOGRAPHS = {
     "missing": (
         lambda folder: (folder / "view_0001.exr").unlink(),
-        "1 of 3 photographs are missing, first view_0001.exr",
+        "1 of 3 photographs is missing, first view_0001.exr",
     ),
     "extra": (copied("view_0003.exr"), "view_0003.exr.*4 photographs for 3 sensors"),
     "twice": (copied("view_0000.hdr"), "are the same view"),
@@ -533,16 +533,22 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
         Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
     assert load_capture(path).warnings == (
         f"{folder}: all 30 photographs: 8-bit, not HDR; decoded as sRGB, 1440 saturated "
-        "pixels are lower bounds of radiance. Clipped highlights hide gloss: use HDR.",
+        "pixels, with the background, are lower bounds of radiance. Clipped highlights hide gloss: "
+        "use HDR.",
     )
+    alpha = np.full((24, 24, 1), 255, np.uint8)
+    alpha[0] = 0  # one of the two saturated rows
+    for image in folder.iterdir():
+        Image.fromarray(np.concatenate([pixels, alpha], axis=2)).save(image)
+    assert "sRGB, 720 saturated pixels are lower" in load_capture(path).warnings[0]
     for index in (3, 4, 9, 20, 21):
         write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
         (folder / f"view_{index:04d}.png").unlink()
     sentences = load_capture(path).warnings
     assert sentences == (
         f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
-        "more): 8-bit, not HDR; decoded as sRGB, 1200 saturated pixels are lower bounds of "
-        "radiance. Clipped highlights hide gloss: use HDR.",
+        "more): 8-bit, not HDR; decoded as sRGB, 600 saturated pixels are "
+        "lower bounds of radiance. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
         "entirely black, not used; check the exposure, or remove the photograph and its "
         "sensor.",

@@ -390,7 +390,7 @@ def test_import_and_direct_use_convert_alike(tmp_path):
         np.testing.assert_allclose(values[1:], LINEAR[1:], rtol=WITHIN)
     assert view.saturated == 2 and view.invalid == 0
     notes = photograph_notes([frame(path, (10, 6))], [view])
-    assert any("are converted to linear sRGB from Mine; colours outside" in n for n in notes)
+    assert any("converted to linear sRGB from Mine; colours outside" in n for n in notes)
 
 
 def test_colours_outside_of_srgb_become_zero(tmp_path):

@@ -249,6 +249,31 @@ COMMANDS = list(main.COMMANDS)
 
 def test_typing_errors_are_answered_for_the_same_command(capsys):
     assert fails(capsys, "entrpy", "a.xml") == "svu: entrpy: no such command; did you mean entropy?"
+    wrong = {
+        "--imagse=b": "--imagse: no such option of svu entropy; did you mean --images?",
+        "--zzz": "--zzz: no such option of svu entropy; svu entropy --help lists all.",
+        "b.xml": "b.xml: svu entropy takes no such argument; svu entropy --help lists all.",
+    }
+    for word, sentence in wrong.items():
+        assert fails(capsys, "entropy", "a.xml", word) == f"svu: {sentence}"
+
+
+NUMBERS = (
+    "guide --distance",
+    "import --faces",
+    "light --mean-albedo",
+    "recover --tv",
+    "render --views",
+)
+
+
+@pytest.mark.parametrize("option", NUMBERS)
+def test_an_error_states_one_default_at_most(option, capsys):
+    command, name = option.split()
+    with pytest.raises(SystemExit):
+        run(command, "a.xml", name, "many")
+    shown = capsys.readouterr().err
+    assert name in shown and "None" not in shown and shown.lower().count("default:") <= 1
     assert fails(capsys) == "svu: svu --help lists the commands."
     with pytest.raises(SystemExit) as stop:
         run("entropy", "a.xml", "--resolutoin", 3)

@@ -148,7 +148,7 @@ def test_clipping_threshold_depends_on_bits(bits, tmp_path):
     wanted, kept = decoded(values[1:, :, 0] / most), 1e-3 if bits == 8 else 1e-6  # half floats
     np.testing.assert_allclose(written[1:], wanted, rtol=kept)
     (note, *_) = photograph_notes([frame(path)], [photograph])
-    assert f"are not HDR: of {bits} bits, decoded as srgb. " in note
+    assert f"not HDR: of {bits} bits, decoded as srgb. " in note
 
 
 def test_inks_are_refused(tmp_path):

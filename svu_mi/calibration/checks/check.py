@@ -30,7 +30,6 @@ from svu_mi.calibration.checks.surface_samples import (
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
 from svu_mi.calibration.light.light_estimate import FoundGains
-from svu_mi.calibration.light.light_samples import FEWEST
 from svu_mi.calibration.light.light_summary import gain_sentences
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
@@ -41,6 +40,7 @@ from svu_mi.capture.load_warnings import (
     UNMODELLED,
     back_face_share,
     faces_outward,
+    too_few_for_light,
     unsupported,
 )
 from svu_mi.capture.mesh import arrays
@@ -244,13 +244,9 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
 
 def _too_few(capture: Capture) -> tuple[Finding, ...]:
     """Return a finding if there are too few photographs to estimate a light, or an empty tuple."""
-    count = sum(capture.used)
-    if count >= FEWEST or emitter_of(capture) is not None:
+    sentence = too_few_for_light(sum(capture.used))
+    if sentence is None or emitter_of(capture) is not None:
         return ()
-    sentence = (
-        f"An unknown light needs at least {FEWEST} photographs of the same places, and the capture "
-        f"has {count}: add photographs, or give the light."
-    )
     return (Finding(question="number", verdict="unclear", sentence=sentence),)
 
 

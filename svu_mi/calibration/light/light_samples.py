@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.load_warnings import FEWEST_FOR_LIGHT
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import CaptureError
@@ -19,7 +20,6 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.statistics.statistics import noise_weight
 
-FEWEST = 4  # minimum number of views of a texel, which has 5 unknown parameters
 GRAZING = 1e-3  # minimum cosine; smaller values are clamped
 OF_SAMPLES = ("view", "direction", "cosine", "radiance", "contrast", "weight")
 FACING = 0.4  # minimum cosine: pixels of steeper views also cover neighbours
@@ -80,7 +80,7 @@ class TexelSamples:
     def without_steep_views(self) -> tuple[TexelSamples, np.ndarray]:
         """Drop steep views and rarely seen texels; return the kept samples and their indices."""
         kept = self.cosine > FACING
-        enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
+        enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST_FOR_LIGHT
         if not enough.any():
             return self, np.arange(self.count)
         chosen = np.flatnonzero(kept & enough[self.owner])
@@ -118,12 +118,12 @@ class TexelSamples:
                 "The object is black in all photographs; check their gains and masks with svu "
                 "check."
             )
-        enough = np.flatnonzero(observed.coverage >= FEWEST)
+        enough = np.flatnonzero(observed.coverage >= FEWEST_FOR_LIGHT)
         if not len(enough):
             raise CaptureError(
-                f"No texel is seen in {FEWEST} photographs, which estimates of light and gains "
-                "need; check scale and axes of the mesh with svu check, take more photographs, "
-                "or give the light and the gains."
+                f"No texel is seen in {FEWEST_FOR_LIGHT} photographs, which estimates of light "
+                "and gains need; check scale and axes of the mesh with svu check, take more "
+                "photographs, or give the light and the gains."
             )
         # Texels are ordered by position: equal steps cover the surface evenly.
         count = min(count, len(enough))

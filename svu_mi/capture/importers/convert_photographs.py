@@ -17,6 +17,7 @@ from svu_mi.capture.image_io import ImageFile, open_image
 from svu_mi.capture.importers.camera_response import read_response
 from svu_mi.capture.importers.resampling import average_area, undistort_planes
 from svu_mi.capture.importers.source import Frame
+from svu_mi.capture.load_warnings import clipped_where
 from svu_mi.capture.match_photographs import masks_of
 from svu_mi.capture.photographs import (
     CLIPPED,
@@ -31,7 +32,7 @@ from svu_mi.capture.photographs import (
 from svu_mi.capture.quantization import SATURATED, quantization_steps, saturation_radiance
 from svu_mi.capture.tone_curve import SampledCurve, linearize
 from svu_mi.core.io.exr import write_exr
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, are, counted
 
 BORDER = 0.9  # share of border pixels in a mask, from which it counts as inverted
 CLIPPED_LAYER = "clipped."  # prefix of R, G or B
@@ -229,11 +230,11 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
 
     def note(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
         names = [f.image.name for f, is_chosen in zip(frames, chosen, strict=True) if is_chosen]
-        first = f"{len(names)} of {count} photographs, {names[0]} first," if names else ""
-        return [f"{first} {words}"] if len(names) > least else []
+        several = f"{len(names)} of {count} photographs, {names[0] if names else ''} first"
+        found = len(names) > least
+        return [f"{names[0] if len(names) == 1 else several}: {words}"] if found else []
 
     clipped, invalid = (sum(getattr(c, name) for c in views) for name in ("saturated", "invalid"))
-    where = "" if all(c.masked for c in views) else ", in the whole photographs,"
     dark = [c.crushed for c in views if c.crushed > CRUSHED]
     kinds = " and ".join(map(str, sorted(low)))
     curves = " and ".join(sorted({c.decoded for c in views if c.bits}))
@@ -241,24 +242,22 @@ def photograph_notes(frames: Sequence[Frame], views: Sequence[ConvertedPhotograp
     remarks = dict.fromkeys(remark for c in views for remark in c.remarks)
     return [
         *note([c.bits > 0 for c in views],
-              f"are not HDR: of {kinds} bits, decoded as {curves}. {clipped} saturated "
-              f"pixels{where} are lower bounds of radiance. Clipped highlights hide gloss: use "
-              "HDR."),
+              f"not HDR: of {kinds} bits, decoded as {curves}. {clipped} saturated pixels"
+              f"{clipped_where(c.masked for c in views)}"),
         *note([c.crushed > CRUSHED for c in views],
-              f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
+              f"crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
               "have a channel of 0): darker radiance is lost; expose longer or use HDR."),
         *note([f.lens is not None for f in frames],
-              "are undistorted; the focal length is kept, and empty borders are cropped."),
+              "undistorted; the focal length is kept, and empty borders are cropped."),
         *(line for name in colors for line in note([c.color == name for c in views],
-              f"are converted to linear sRGB from {name}; colours outside of sRGB are cut off.")),
-        *(line.replace(", have: ", ": ") for remark in remarks for line in note(
-              [remark in c.remarks for c in views], f"have: {remark}")),
+              f"converted to linear sRGB from {name}; colours outside of sRGB are cut off.")),
+        *(line for text in remarks for line in note([text in c.remarks for c in views], text)),
         *note([c.invalid > 0 for c in views],
-              f"have {invalid} pixels that are NaN, infinite or negative; these are ignored."),
-        *note([c.empty for c in views], "have an empty mask and are not used."),
+              f"{counted(invalid, 'pixel')} {are(invalid)} NaN, infinite or negative; ignored."),
+        *note([c.empty for c in views], "not used, because the mask is empty."),
         *note([c.inverted for c in views],
-              "have a mask that includes the border; if the object is black in it, invert the "
+              "the mask includes the border; if the object is black in it, invert the "
               "masks: white is the object.", least=count / 2),
         *note([not c.masked for c in views],
-              "have no mask: anything in front of the object is treated as its surface."),
+              "no mask: anything in front of the object is treated as its surface."),
     ]  # fmt: skip

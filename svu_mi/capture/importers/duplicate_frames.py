@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 
 from svu_mi.capture.importers.source import Frame
+from svu_mi.errors import are
 
 SAMPLE = 2**12  # bytes in the middle of files of the same size, before they are compared
 DIGITS = 9  # of the numbers of equal poses
@@ -17,17 +18,17 @@ def duplicate_notes(frames: Sequence[Frame], root: str) -> Iterator[str]:
     """Yield a sentence about photographs that occur twice, and one about poses that do."""
     if pair := _first(frames, lambda frame: _signature(frame.image), _same_photograph):
         yield (
-            f"{root}: {pair[2]} of {len(frames)} photographs occur twice, first "
-            f"{pair[0].image.name} ({pair[0].label} and {pair[1].label}); they count twice, so "
-            "the uncertainty is too small. Remove one of each."
+            f"{root}: {pair[2]} of {len(frames)} photographs {are(pair[2])} there twice, first "
+            f"{pair[0].image.name} ({pair[0].label} and {pair[1].label}), so the "
+            "uncertainty is too small. Remove one of each."
         )
     if pair := _first(
         frames, lambda frame: (frame.to_world.round(DIGITS) + 0.0).tobytes(), _others
     ):
         yield (
-            f"{root}: {pair[2]} of {len(frames)} photographs have the pose of another one, first "
-            f"{pair[0].image.name} and {pair[1].image.name}; if the camera moved between them, "
-            "correct the poses."
+            f"{root}: {pair[2]} of {len(frames)} photographs {are(pair[2])} posed like another, "
+            f"first {pair[0].image.name} and {pair[1].image.name}; if the camera moved between "
+            "them, correct the poses."
         )
 
 

@@ -43,7 +43,7 @@ from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.simplify_mesh import simplify
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.importers.source_files import relative_name
-from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward
+from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, too_few_for_light
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import make_scene
@@ -53,7 +53,7 @@ from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.memory import Sizes
 from svu_mi.core.validation import require_views
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError, OptionError, are
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 TABLE = 4.0  # side of a table, in diagonals of the object
@@ -150,6 +150,9 @@ class ImportPlan:
             sensors = [frame.sensor(_clip_planes(frame, geometry.mesh)) for frame in squares]
             table = self._table(geometry.mesh, sensors)
             notes += _write_scene(draft.folder, geometry, light, [*table, *_sensors(sensors)])
+            if light is None:
+                seen = sum(not photograph.empty for photograph in views)
+                notes.append(too_few_for_light(seen) or NO_LIGHT)
             imported = {
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
                 "photographs": [relative_name(source.root, frame.taken) for frame in squares],
@@ -252,8 +255,8 @@ def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame
     if not absent:
         return there, []
     lack = (
-        f"{source.root}: {len(absent)} of {len(asked)} photographs are missing, first "
-        f"{relative_name(source.root, absent[0].image)}"
+        f"{source.root}: {len(absent)} of {len(asked)} photographs {are(len(absent))} missing, "
+        f"first {relative_name(source.root, absent[0].image)}"
     )
     if not there:
         raise CaptureError(f"{lack}; move them to the paths in the poses.")
@@ -362,7 +365,7 @@ def _write_scene(
     write_pictures(geometry.textures, folder)
     root = scene_xml.scene()
     root.append(scene_xml.plugin("integrator", "path", max_depth=MAX_DEPTH))
-    notes = [NO_LIGHT]
+    notes: list[str] = []
     if light is not None:
         pose, notes = write_environment(light, folder / ENVIRONMENT)
         root.append(scene_xml.plugin(

@@ -28,7 +28,7 @@ from svu_mi.capture.importers.source_files import (
 from svu_mi.core.io.files import read_json, refusing, write_json
 from svu_mi.core.io.schema import FLAG, ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
-from svu_mi.errors import CaptureError, OptionError, excerpt
+from svu_mi.errors import CaptureError, OptionError, are, excerpt
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
@@ -174,8 +174,8 @@ def _of_split(
             raise ValueError(f"{key} is empty")
     count = len(frames) - len(numbers)
     return numbers, [
-        f"{path}: {count} of {len(frames)} photographs are not in {key} and are left out; import "
-        f"all of them with --split {ALL}."
+        f"{path}: {count} of {len(frames)} photographs {are(count)} not in {key} and left out; "
+        f"import all of them with --split {ALL}."
     ] if count else []
 
 
@@ -300,7 +300,7 @@ def _default_size(
     if first is not None:
         return open_image(first).size
     raise CaptureError(
-        f"{path}: {len(named)} of {len(frames)} photographs are missing, first "
+        f"{path}: {len(named)} of {len(frames)} photographs {are(len(named))} missing, first "
         f"{relative_name(path.parent, images[0])}; move them to the paths in the poses."
     )
 

@@ -28,7 +28,7 @@ from svu_mi.capture.sensors import affine
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import require_views
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, counted
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
@@ -87,7 +87,7 @@ def read(path: Path, _: ReadOptions) -> Source:
         mesh=next((name for name in names if name.is_file()), None),
         light=_light(test),
         camera_axes=OPENCV,
-        notes=(f"{test}: {len(cameras)} photographs. {RULES}",),
+        notes=(f"{test}: {counted(len(cameras), 'photograph')}. {RULES}",),
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
 from svu_mi.core.identifiers import fits_file_name
 from svu_mi.core.io.files import refusing
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError, counted, excerpt
 
 LONGEST_PATH = 2048  # bytes
 CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # invalid in names, and executed by terminals
@@ -191,8 +191,9 @@ def find_photographs(
     files = list_pictures(folder)
     if len(files) != count:
         raise CaptureError(
-            f"{folder}: has {len(files)} photographs, but {poses} has {count} poses; give a "
-            "folder with only the posed photographs with --images."
+            f"{folder}: has {counted(len(files), 'photograph')}, but {poses} has "
+            f"{counted(count, 'pose')}; give a folder with only the posed "
+            "photographs with --images."
         )
     return files
 

@@ -17,6 +17,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
+from svu_mi.errors import counted
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import (
     EstimateArrays,
@@ -201,7 +202,7 @@ def _summary(
             ("Points of the surface", grouped(len(result.seen)),
              f"in a texture of {width} × {height}"),
             ("Seen", percent(summary.seen_part),
-             f"of the surface; in {views:g} photographs each (median)"),
+             f"of the surface; in {counted(views, 'photograph')} each (median)"),
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
              f"of the points seen: {style.ENTROPY_ENDS}"),
         ],

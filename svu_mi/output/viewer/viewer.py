@@ -18,6 +18,7 @@ from svu_mi.capture.image_io import srgb
 from svu_mi.capture.sensors import bounding_sphere
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.identifiers import markdown_text
+from svu_mi.errors import counted
 from svu_mi.output.estimate_arrays import is_seen
 from svu_mi.output.html import percent
 from svu_mi.output.interval_summary import Intervals
@@ -211,7 +212,8 @@ class Viewer:
         tested = self._estimate.prediction
         wrong = "" if tested is None or tested.reliable else f" {tested.sentence()}"
         return (
-            f"**{markdown_text(self._capture.shape.id())}**: {sum(self._capture.used)} views, "
+            f"**{markdown_text(self._capture.shape.id())}**: "
+            f"{counted(sum(self._capture.used), 'view')}, "
             f"{self._estimate.texels.count} texels, {percent(seen.mean())} seen, mean entropy "
             f"{mean:.2f}. Grey: never seen.{wrong}"
         )

@@ -98,7 +98,7 @@ def test_codes_become_what_was_measured(bits, largest, tmp_path):
     assert least == pytest.approx(gamma(SATURATED[bits]), abs=1e-5)
     assert picture.saturated == 2 and picture.invalid == 0
     (note, *_) = photograph_notes([frame], [picture])
-    assert f"are not HDR: of {bits} bits, decoded as in curve.txt. 2 saturated pixels" in note
+    assert f"not HDR: of {bits} bits, decoded as in curve.txt. 2 saturated pixels" in note
 
 
 def test_eight_bits_hit_samples_exactly(tmp_path):
@@ -221,7 +221,7 @@ def test_crushed_blacks_are_said_and_stay_what_they_are(tmp_path, part, percent)
     (tmp_path / "other").mkdir()
     frames = [dark(tmp_path / "other", 0.0), dark(tmp_path, part)]
     assert blacks(frames, tmp_path) == [
-        f"1 of 2 photographs, a.png first, have crushed blacks ({percent} of the object's pixels "
+        f"a.png: crushed blacks ({percent} of the object's pixels "
         "have a channel of 0): darker radiance is lost; expose longer or use HDR."
     ]
     picture, image, _ = converted(frames[1], tmp_path / "out.exr")
@@ -277,7 +277,7 @@ WORDS = ("import", "shots", "--mesh", "shots/ball.ply")
 def test_an_import_decodes_by_the_response_and_says_so_again(shots, capsys):
     assert run(*WORDS, "--response", "curve.txt", "-o", "mine") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "are not HDR: of 8 bits, decoded as in curve.txt. 4 saturated pixels" in said
+    assert "not HDR: of 8 bits, decoded as in curve.txt. 4 saturated pixels" in said
     capture = svu.load_capture("mine", light="optional")
     for view in range(2):
         pixels = random(8, view) / 255

@@ -220,7 +220,7 @@ def test_folders_that_are_not_there(tmp_path):
         read_colmap(tmp_path, masks=tmp_path / "none")
     with pytest.raises(CaptureError, match="none: no such folder; .* --images"):
         read_colmap(tmp_path, images=tmp_path / "none")
-    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, first a.png"):
+    with pytest.raises(CaptureError, match="1 of 1 photographs is missing, first a.png"):
         read_colmap(tmp_path, images=tmp_path / "sparse")
 
 

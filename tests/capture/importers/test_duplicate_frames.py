@@ -28,14 +28,14 @@ def notes_of(folder, *photographs):
 def test_same_photograph_twice(tmp_path):
     photographs = (("a", b"1", 0), ("b", b"2", 1), ("a", b"1", 2), ("c", b"2", 1), ("d", b"2", 4))
     assert notes_of(tmp_path, *photographs) == [
-        "scan: 3 of 5 photographs occur twice, first a (frame 0 and frame 2); they count twice, so "
-        "the uncertainty is too small. Remove one of each."
+        "scan: 3 of 5 photographs are there twice, first a (frame 0 and frame 2), so the "
+        "uncertainty is too small. Remove one of each."
     ]
 
 
 def test_same_pose_twice(tmp_path):
     assert notes_of(tmp_path, ("a", b"1", 0.0), ("b", b"2", 1), ("c", b"3", -1e-12)) == [
-        "scan: 1 of 3 photographs have the pose of another one, first a and c; if the camera moved "
+        "scan: 1 of 3 photographs is posed like another, first a and c; if the camera moved "
         "between them, correct the poses."
     ]
 

@@ -579,14 +579,18 @@ def test_what_is_missing_is_asked_for(source, tmp_path):
         with pytest.raises(OptionError, match=sentence):
             import_capture(source, tmp_path / "capture", ImportOptions(**options))
     (source.root / "1.exr").unlink()
-    with pytest.raises(CaptureError, match="1 of 2 photographs are missing, first 1.exr; add"):
+    with pytest.raises(CaptureError, match="1 of 2 photographs is missing, first 1.exr; add"):
         import_capture(source, tmp_path / "capture")
     assert not (tmp_path / "capture").exists()
 
 
 def test_a_capture_without_a_light_says_so_and_can_be_checked(source, tmp_path):
     """Poses can be checked without an environment map."""
-    notes = import_capture(replace(source, light=None), tmp_path / "capture")
+    few = import_capture(replace(source, light=None), tmp_path / "few")
+    needed = "An unknown light needs at least 4 photographs of the same places, and the capture "
+    assert few[-1] == f"{needed}has 2: add photographs, or give the light."
+    frames = [*source.frames, *source.frames]
+    notes = import_capture(replace(source, frames=frames, light=None), tmp_path / "capture")
     sentence = (
         "The capture has no light. Commands estimate it from the photographs; svu light shows the "
         "estimate. If you have an environment map, import again with --environment."
@@ -597,7 +601,7 @@ def test_a_capture_without_a_light_says_so_and_can_be_checked(source, tmp_path):
     assert not (tmp_path / "capture" / "environment.exr").exists()
     with pytest.raises(SceneError, match="capture: was imported without a light.*--environment"):
         svu.load_capture(tmp_path / "capture")
-    assert svu.load_capture(tmp_path / "capture", light="optional").count == 2
+    assert svu.load_capture(tmp_path / "capture", light="optional").count == 4
 
 
 def test_only_an_earlier_import_is_replaced(source, tmp_path):
@@ -723,7 +727,7 @@ def test_masks_that_show_nothing(source, tmp_path):
         import_capture(empty, tmp_path / "capture")
     cut_out(tmp_path / "mask0.png")
     notes = import_capture(empty, tmp_path / "capture")
-    assert any("1 of 2 photographs, 1.png first, have an empty mask" in note for note in notes)
+    assert any("1.png: not used, because the mask is empty" in note for note in notes)
 
 
 def test_masks_that_say_nothing_or_the_opposite(source, tmp_path):
@@ -731,10 +735,10 @@ def test_masks_that_say_nothing_or_the_opposite(source, tmp_path):
     around = np.full_like(GREY[..., 0], 255)
     around[5:15, 5:30] = 0
     Image.fromarray(around).save(tmp_path / "mask.png")
-    for mask, said in ((None, "have no mask"), (tmp_path / "mask.png", "have a mask that")):
+    for mask, said in ((None, "no mask"), (tmp_path / "mask.png", "the mask includes")):
         frames = [photograph(source.root / f"{k}.png", opaque, mask=mask) for k in range(2)]
         notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
-        assert any(f"2 of 2 photographs, 0.png first, {said}" in note for note in notes)
+        assert any(f"2 of 2 photographs, 0.png first: {said}" in note for note in notes)
 
 
 def test_a_photograph_that_is_stored_on_its_side(source, tmp_path):
@@ -743,7 +747,7 @@ def test_a_photograph_that_is_stored_on_its_side(source, tmp_path):
     Image.new("RGB", (8, 6)).save(source.root / "0.jpg", exif=exif)
     frame = replace(source.frames[0], image=source.root / "0.jpg")
     notes = import_capture(replace(source, frames=[frame]), tmp_path / "capture")
-    assert any("0.jpg first: not turned, although EXIF data" in note for note in notes)
+    assert any("0.jpg: not turned, although EXIF data" in note for note in notes)
     notes = import_capture(
         replace(source, frames=[replace(frame, size=(6, 8))]), tmp_path / "capture"
     )
@@ -805,7 +809,7 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
     (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
     assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
     frame.image.unlink()
-    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, first train/r_0; move"):
+    with pytest.raises(CaptureError, match="1 of 1 photographs is missing, first train/r_0; move"):
         read_source(tmp_path)
 
 

@@ -64,7 +64,7 @@ def test_a_phones_photographs_lie_on_their_object(tmp_path, capsys):
     words = ["--mesh", str(scenes.path("knot").parent / "mesh.ply"), "-o"]
     assert main(["import", str(path), *words, str(tmp_path / "capture")]) == 0
     said = (
-        f"{VIEWS} of {VIEWS} photographs, IMG_0.exr first, are undistorted; the focal length is "
+        f"{VIEWS} of {VIEWS} photographs, IMG_0.exr first: undistorted; the focal length is "
         "kept, and empty borders are cropped."
     )
     assert said in capsys.readouterr().out

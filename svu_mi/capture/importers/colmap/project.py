@@ -32,7 +32,7 @@ from svu_mi.capture.importers.source_files import (
     substitutions,
 )
 from svu_mi.capture.sensors import affine
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError, are, counted, excerpt
 
 if TYPE_CHECKING:
     from svu_mi.capture.importers.registry import ReadOptions
@@ -145,8 +145,8 @@ def read_project(
     missing = [file for file in files if not file.is_file()]
     if missing and not (partly and len(missing) < len(files)):
         raise CaptureError(
-            f"{images}: {len(missing)} of {len(files)} photographs are missing, first "
-            f"{excerpt(missing[0].relative_to(images))}; give their folder with --images."
+            f"{images}: {len(missing)} of {len(files)} photographs {are(len(missing))} missing, "
+            f"first {excerpt(missing[0].relative_to(images))}; give their folder with --images."
         )
     return Project(
         model=model,
@@ -172,15 +172,15 @@ def _possible_folders(model: Path, name: str) -> list[Path]:
 
 def project_notes(project: Project) -> Iterator[str]:
     """Yield sentences about the model that was chosen."""
-    images = "image" if len(project.views) == 1 else "images"
+    images = counted(len(project.views), "image")
     yield (
-        f"{len(project.views)} {images} of COLMAP; its world has its own unit and up axis, and the "
-        "mesh must use the same."
+        f"{images} of COLMAP; its world has its own unit and up axis, and the mesh must use the "
+        "same."
     )
     if project.others:
         counts = ", ".join(f"{other} has {count_images(other)}" for other in project.others[:SHOWN])
         yield (
             f"{project.model}: the largest of {len(project.others) + 1} models of parts of the "
-            f"scene is used, with {len(project.views)} images ({counts}); to use another, import "
+            f"scene is used, with {images} ({counts}); to use another, import "
             "its folder instead."
         )
