@@ -256,31 +256,19 @@ def test_typing_errors_are_answered_for_the_same_command(capsys):
     }
     for word, sentence in wrong.items():
         assert fails(capsys, "entropy", "a.xml", word) == f"svu: {sentence}"
+    assert fails(capsys) == "svu: svu --help lists the commands."
 
 
-NUMBERS = (
-    "guide --distance",
-    "import --faces",
-    "light --mean-albedo",
-    "recover --tv",
-    "render --views",
-)
+NUMBERS = ["guide --distance", "import --faces", "light --mean-albedo", "recover --tv"]
 
 
 @pytest.mark.parametrize("option", NUMBERS)
 def test_an_error_states_one_default_at_most(option, capsys):
     command, name = option.split()
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit, match="2"):
         run(command, "a.xml", name, "many")
     shown = capsys.readouterr().err
     assert name in shown and "None" not in shown and shown.lower().count("default:") <= 1
-    assert fails(capsys) == "svu: svu --help lists the commands."
-    with pytest.raises(SystemExit) as stop:
-        run("entropy", "a.xml", "--resolutoin", 3)
-    said = capsys.readouterr()
-    told = said.out + said.err
-    assert stop.value.code == 2 and "--resolution" in told and "svu entropy --help" in told
-    assert "compare" not in told and "guide" not in told
 
 
 def help_of(command, width, monkeypatch, capsys):

@@ -751,7 +751,7 @@ def test_a_photograph_that_is_stored_on_its_side(source, tmp_path):
     notes = import_capture(
         replace(source, frames=[replace(frame, size=(6, 8))]), tmp_path / "capture"
     )
-    assert any("0.jpg first: turned as the EXIF orientation" in note for note in notes)
+    assert any("0.jpg: turned as the EXIF orientation" in note for note in notes)
     Image.new("RGB", (8, 6)).save(source.root / "0.jpg")
     with pytest.raises(CaptureError, match="0.jpg.*stored on its side"):
         import_capture(replace(source, frames=[replace(frame, size=(6, 8))]), tmp_path / "capture")

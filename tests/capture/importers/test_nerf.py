@@ -114,7 +114,7 @@ def test_split_lists_of_nerfstudio_are_followed(tmp_path, split, numbers):
     source = read_source(folder, ReadOptions(split=split))
     assert "".join(frame.image.stem for frame in source.frames) == numbers
     assert source.frames[-1].label == f"{folder / 'transforms.json'}: frame {numbers[-1]}"
-    left_out = f"{6 - len(numbers)} of 6 photographs are not in {split}_filenames and are left out"
+    left_out = f"{6 - len(numbers)} of 6 photographs are not in {split}_filenames and left out"
     assert [left_out in note for note in source.notes] == ([True] if split != "all" else [])
 
 
