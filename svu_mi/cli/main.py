@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parse(name: str = "", *words: str) -> Any:
     """Return the command with this name, with options from the words after it.
 
-    Raises ``OptionError`` for an unknown name, and ``SystemExit`` for unknown options.
+    Raises ``OptionError`` for an unknown name or option, and ``SystemExit`` for invalid values.
     """
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
