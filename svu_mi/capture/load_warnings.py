@@ -131,6 +131,11 @@ def unsupported(scene: Any, target: Any, materials: Sequence[Any] = ()) -> list[
             f"Shape '{excerpt(target.id())}' has {_listed(features)}, {UNMODELLED}: if the "
             "photographs show that, roughness and base colour will be off."
         )
+    if cloudy := [_name(shape) for shape in scene.shapes() if shape.is_medium_transition()]:
+        notes.append(
+            f"Light is scattered in the medium of {_listed(cloudy)}, {UNMODELLED}: if the "
+            "photographs show that, roughness and base colour will be off."
+        )
     if bright := [_name(shape) for shape in reflecting_shapes(scene, target)]:
         names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(

@@ -267,7 +267,8 @@ def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
         image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
     except Exception as error:  # Mitsuba raises RuntimeError for everything
         raise SceneError(
-            f"Sensor '{sensor.id()}' cannot be rendered: {last_sentence(str(error))}"
+            f"Sensor '{sensor.id()}' cannot be rendered: "
+            f"{last_sentence(str(error.__cause__ or error))}"
         ) from error
     return image[..., :3] if image.shape[2] >= 3 else image[..., :1].repeat(3, axis=2)
 

@@ -14,6 +14,7 @@ import numpy as np
 from svu_mi import _llvm
 from svu_mi.capture.float_textures import store_as_float
 from svu_mi.capture.mesh import MeshArrays, check_buffers
+from svu_mi.capture.opaque_masks import remove_opaque_masks
 from svu_mi.capture.plugin_security import (
     pin_own_plugins,
     refuse_foreign,
@@ -89,6 +90,7 @@ def load_scene(
                 refuse_foreign(state, str(path))
             check_files(state, str(path))
             name_shapes(state)
+            remove_opaque_masks(state)
             if float_textures:
                 store_as_float(state)
             return mi.parser.instantiate(config, state)
@@ -141,7 +143,8 @@ def check_sensor(sensor: Any, label: str) -> None:
     """Raise unless a sensor is a pinhole camera with a rigid pose."""
     if sensor.class_name() != "PerspectiveCamera":
         raise SceneError(
-            f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported."
+            f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported: change "
+            "its type."
         )
     rotation = to_world(sensor)[:3, :3]
     if np.linalg.det(rotation) < 0:

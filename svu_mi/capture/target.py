@@ -58,6 +58,9 @@ def find_target(scene: Any, name: str | None, path: str) -> SceneTarget:
     shapes = list(scene.shapes())
     chosen = [_only_candidate(shapes, path)] if name is None else _named(shapes, name, path)
     words = ",".join(_word(shapes, shape) for shape in chosen)
+    _refuse_invisible(shapes, path)
+    for shape in chosen:
+        _require_opaque(shape, f"{path}: shape '{excerpt(shape.id())}'")
     meshes = [_as_arrays(shape, f"{path}: shape '{excerpt(shape.id())}'") for shape in chosen]
     materials = [shape.bsdf() for shape in chosen]
     if len(chosen) == 1 and chosen[0].is_mesh() and not _is_cube(chosen[0]):
@@ -84,6 +87,35 @@ def _only_candidate(shapes: Sequence[Any], path: str) -> Any:
             f"{_listed(shapes, candidates)}; commas join several to one object."
         )
     return candidates[0]
+
+
+def _refuse_invisible(shapes: Sequence[Any], path: str) -> None:
+    """Raise for boundaries of media: light passes them, but visibility rays do not."""
+    for shape in shapes:
+        if shape.bsdf() is not None and shape.bsdf().class_name() == "Null":
+            raise SceneError(
+                f"{path}: shape '{excerpt(shape.id())}' is invisible (Null), and would cast "
+                "shadows here; remove it and its medium from the scene."
+            )
+
+
+def _require_opaque(shape: Any, label: str) -> None:
+    """Raise if a shape transmits or emits light; ``unsupported`` reports masks and spec_trans."""
+    if shape.is_emitter():
+        raise SceneError(
+            f"{label} emits light, which the model of the object does not include; remove its "
+            "emitter, or choose another shape with --shape."
+        )
+    bsdf, flags = shape.bsdf(), mi.BSDFFlags
+    transmission = (
+        flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission, flags.Null
+    )  # fmt: skip
+    reported = _has_principled(shape) or bsdf is not None and bsdf.class_name() == "MaskBSDF"
+    if bsdf is not None and not reported and any(bsdf.flags() & int(f) for f in transmission):
+        raise SceneError(
+            f"{label} transmits light ({bsdf.class_name()}), which the model of the object does "
+            "not include; choose an opaque shape with --shape."
+        )
 
 
 def _named(shapes: Sequence[Any], name: str, path: str) -> list[Any]:

@@ -34,6 +34,7 @@ from svu_mi.errors import (
     SvuEnvironmentError,
     SvuWarning,
 )
+from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.geometry.texels import texels
 from svu_mi.pipeline import estimate
 
@@ -863,3 +864,65 @@ def test_unknown_parameters_are_answered_with_the_known_ones(tmp_path, default, 
     path.write_text(f'<scene version="3.0.0">{default}</scene>')
     with pytest.raises(SceneError, match=rf"unused .*foo.* The file has {known}\."):
         load_capture(path, defines={"foo": "bar"})
+
+
+WITHOUT_MODEL = {
+    "glass": ('<bsdf type="dielectric"/>', r"'ball' transmits light \(SmoothDielectric\)"),
+    "window": ('<bsdf type="thindielectric"/>', r"'ball' transmits light \(ThinDielectric\)"),
+    "lamp": (
+        '<bsdf type="diffuse"/><emitter type="area"/>',
+        "'ball' emits light, .* remove its emitter",
+    ),
+    "nothing": ('<bsdf type="null"/>', r"'ball' is invisible \(Null\)"),
+}
+
+
+@pytest.mark.parametrize(("content", "message"), WITHOUT_MODEL.values(), ids=WITHOUT_MODEL)
+def test_object_that_is_no_surface_of_the_model_is_refused(tmp_path, content, message):
+    path = write_scene(tmp_path)
+    path.write_text(path.read_text().replace('<bsdf type="principled" id="paint"/>', content))
+    with pytest.raises(SceneError, match=f"scene.xml: shape {message}"):
+        render_capture(path, spp=1, shape="ball")
+
+
+def test_mask_that_hides_nothing_is_ignored(tmp_path):
+    """Exporters write it around each material; its object is the same as without it."""
+    inner = (
+        '<bsdf type="twosided" id="two"><bsdf type="principled"><rgb name="base_color" '
+        'value="0.2, 0.4, 0.6"/><float name="roughness" value="0.25"/></bsdf></bsdf>'
+    )
+    path, seen = write_scene(tmp_path), []
+    text = path.read_text()
+    for opacity in ('<float name="opacity" value="1"/>', '<rgb name="opacity" value="1, 1, 1"/>'):
+        mask = f'<bsdf type="mask" id="paint">{opacity}{inner}</bsdf>'
+        path.write_text(text.replace('<bsdf type="principled" id="paint"/>', mask))
+        capture = render_capture(path, spp=2, shape="paint")
+        assert capture.warnings == ()
+        truth = ground_truth(capture, texels(capture.mesh, 8))
+        seen.append(capture.images[0])
+        np.testing.assert_allclose(truth["base_color"], [[0.2, 0.4, 0.6]] * len(truth["roughness"]))
+        np.testing.assert_allclose(truth["roughness"], 0.25)
+    path.write_text(text.replace('<bsdf type="principled" id="paint"/>', inner))
+    np.testing.assert_array_equal(render_capture(path, spp=2).images[0], seen[0])
+    path.write_text(path.read_text().replace(inner, f'<bsdf type="mask">{inner}</bsdf>'))
+    with pytest.warns(SvuWarning, match="'ball' has an opacity, which svu does not account for"):
+        render_capture(path, spp=1)  # half of the light passes by default
+
+
+def test_medium_causes_a_warning():
+    glass = {"type": "dielectric"}
+    milk = shape_of(glass, "milk", center=[3, 0, 0], interior={"type": "homogeneous"})
+    target = shape_of(PRINCIPLED)
+    first, *_ = unsupported(make_scene([target, milk]), target)
+    assert first.startswith("Light is scattered in the medium of 'milk', which svu does not acc")
+
+
+def test_reason_of_a_renderer_is_printed(tmp_path):
+    path = write_scene(tmp_path)
+    warm = (
+        '<emitter type="constant"><spectrum name="radiance" type="blackbody">'
+        '<float name="temperature" value="4000"/></spectrum></emitter>'
+    )
+    path.write_text(path.read_text().replace('<emitter type="constant" id="light"/>', warm))
+    with pytest.raises(SceneError, match="cam0.*BlackBodySpectrum. Not implemented for non-spect"):
+        render_capture(path, spp=1)
