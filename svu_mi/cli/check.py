@@ -102,7 +102,9 @@ def _view_table(result: Check) -> Any:
     from svu_mi.calibration.checks.check_result import ViewMeans
 
     shown = min(SHOWN, len(result.views))
-    table = Table(f"worst {shown} of {len(result.views)}", "IoU", "edges", "colour error", box=None)
+    table = Table(
+        f"worst {shown} of {len(result.views)}", "IoU", "contrast", "colour error", box=None
+    )
     for view in result.worst[:SHOWN]:
         table.add_row(view.name, *_fit_numbers(view))
     table.add_row(f"all {len(result.views)}", *_fit_numbers(ViewMeans.of(result.views)))

@@ -49,7 +49,7 @@ MEASURES = {
         "Overlap of silhouettes and masks", "intersection over union; 1 is perfect", "IoU"
     ),
     "contrast": (
-        "Edges on the outline", "rank of the gradient; 0.5 is chance", "edges"
+        "Contrast along the outline", "rank of the gradient; 0.5 is chance", "contrast"
     ),
     "color_error": (
         "Colour difference", "relative, from a diffuse object in this light", "colour error"
@@ -99,7 +99,8 @@ def verdict(check: Check) -> str:
     if any(question in AXES for question in unclear):
         return "The capture may not fit its photographs; the right correction is unclear."
     if unclear:
-        return f"Axes fit, but results may be wrong for another reason: {', '.join(unclear)}."
+        titles = [QUESTIONS[question].lower() for question in unclear]
+        return f"Axes fit, but results may be wrong for another reason: {', '.join(titles)}."
     fits = "The capture fits its photographs, as far as can be determined"
     if any(one.question == "ignored" for one in check.findings):
         return f"{fits}; ignored effects may bias the results."

@@ -272,7 +272,9 @@ def test_poses_are_not_blamed_for_a_texture(texture, silhouette, verdict, fixes)
     assert (finding.verdict, finding.fixes) == (verdict, fixes), finding.sentence
     assert chosen.hypothesis.names == fixes
     if verdict != "wrong":
-        assert finding.sentence.startswith("Cameras and mesh fit the photographs (silhouettes")
+        words = "Cameras and mesh fit the photographs (silhouettes overlap by 0.97 at 64 pixels, "
+        assert finding.sentence.startswith(words)
+        assert chosen.cues.keys() == {"silhouettes at 64 pixels", "views agree", "texture"}
         assert "instead of silhouettes" not in finding.sentence
 
 
@@ -547,7 +549,10 @@ def test_what_is_ignored_has_the_last_word(capture):
     gain = replace(result.findings[3], verdict="unclear")
     unsure = replace(result, findings=(*result.findings[:3], gain, unsupported))
     assert not unsure.fits
-    assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
+    assert (
+        verdict(unsure)
+        == "Axes fit, but results may be wrong for another reason: gain of the photographs."
+    )
     assert svu.check(capture).findings[-1].question == "gain"
 
 

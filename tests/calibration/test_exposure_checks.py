@@ -327,4 +327,6 @@ def test_the_console_names_the_gain(vase, tmp_path, capsys):
     assert run("check", doubled, "-o", tmp_path / "check", "--strict") == 3
     printed = " ".join(capsys.readouterr().out.split())
     assert "gain (UNCLEAR): " in printed and TOO_BRIGHT.search(printed)
-    assert "Axes fit, but results may be wrong for another reason: gain." in printed
+    assert (
+        "Axes fit, but results may be wrong for another reason: gain of the photographs." in printed
+    )

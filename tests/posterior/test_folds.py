@@ -197,7 +197,16 @@ def test_ignored_gains_are_named(capture, layout):
 def test_reliable_models_predict_better_than_means(r2, means, cause, reliable):
     prediction = HeldOutPrediction(r2, means, cause=cause)
     assert prediction.reliable == reliable
-    assert prediction.sentence().startswith("Predicts" if reliable else "Unreliable")
+    sentence = prediction.sentence()
+    assert sentence.startswith("Predicts" if reliable else "Unreliable")
+    # 1 - R^2 of the means is 0.1: 0.14 is more than 0.95 of it, so texels alone explain as much.
+    good = {0.86: "R^2 0.86, good from 0.85 (", 0.61: "0.61, good from 0.6 (", 0.73: "from 0.6 ("}
+    assert not reliable or good[r2] in sentence
+    noisy = HeldOutPrediction(0.3, 0.25, coverage=0.96).sentence()
+    assert (
+        noisy
+        == "Predicts held-out photographs: R^2 0.30, the rest is noise (means of texels: 0.25)."
+    )
 
 
 def test_samples_are_scaled_to_those_of_other_folds():

@@ -13,6 +13,7 @@ from svu_mi.calibration.checks.envmap_orientation import LightScore, NormalDepen
 from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, ViewGains
 from svu_mi.calibration.checks.moved_meshes import Advantage
 from svu_mi.calibration.checks.pose_scores import (
+    SMALL,
     PoseScore,
     differs_in_texture_only,
     is_significant,
@@ -104,9 +105,9 @@ def fits_anywhere(poses: Finding, advantage: Advantage) -> Finding:
     return replace(
         poses, verdict="unclear", fixes=(), alternatives=(),
         sentence="Mesh and photographs do not fit: turned or moved, the mesh fits as well "
-        f"(contrast along the outline {advantage.contrast:+.2f}, agreement of views "
-        f"{advantage.agreement:+.2f} from the mean of these). It is probably of another object, or "
-        "far from its place; give the mesh of this object, in the frame of the poses.",
+        f"(contrast along the outline {advantage.contrast:+.2f} at {SMALL} pixels, agreement of "
+        f"views {advantage.agreement:+.2f} from the mean of these). It is probably of another "
+        "object, or far from its place; give the mesh of this object, in the frame of the poses.",
     )  # fmt: skip
 
 
@@ -148,7 +149,7 @@ def _is_poor(score: PoseScore) -> bool:
 
 def _fit(score: PoseScore) -> str:
     kind = "silhouettes overlap by" if score.masked else "contrast along the outline"
-    return f"{kind} {score.silhouette:.2f}, views agree by {score.agreement:.2f}"
+    return f"{kind} {score.silhouette:.2f} at {SMALL} pixels, views agree by {score.agreement:.2f}"
 
 
 def decide_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:

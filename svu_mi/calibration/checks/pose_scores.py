@@ -69,6 +69,7 @@ class PoseScore:
     def cues(self) -> dict[str, float]:
         """Parts of the score, by name."""
         kind = "silhouettes" if self.masked else "contrast"
+        kind = f"{kind} at {SMALL} pixels"
         return {kind: self.silhouette, "views agree": self.agreement, "texture": self.texture}
 
     @property
