@@ -16,7 +16,7 @@ from support.browser import Browser
 import svu_mi  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
-VARIANT = "llvm_ad_rgb"
+VARIANT = os.environ.get("SVU_TEST_VARIANT", "llvm_ad_rgb")  # cuda_ad_rgb: all of it on a GPU
 MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
@@ -35,6 +35,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: "test_notebooks" not in item.nodeid)
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
+        if VARIANT.startswith("cuda") and item.get_closest_marker("forks"):
+            item.add_marker(pytest.mark.skip("CUDA does not survive a fork"))
         if item.get_closest_marker("few"):
             cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for several in cases.values():

@@ -130,9 +130,14 @@ def _texture(coefficients: np.ndarray) -> Any:
 
 
 def lat_long_texture(grid: np.ndarray) -> Any:
-    """Make a Texture2f from (H, W, C) values on a ``latlong`` grid."""
-    tensor = mi.TensorXf(np.ascontiguousarray(grid, np.float32))
-    return mi.Texture2f(tensor, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat)
+    """Make a Texture2f from (H, W, C) values on a ``latlong`` grid.
+
+    Texture units of GPUs interpolate with 8 bits, which is too coarse next to a sun.
+    """
+    return mi.Texture2f(
+        mi.TensorXf(np.ascontiguousarray(grid, np.float32)), use_accel=False,
+        filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat,
+    )  # fmt: skip
 
 
 MOMENTS = 8  # per channel: two scalars, two vectors

@@ -121,6 +121,7 @@ def test_a_kill_while_it_is_written_loses_nothing(tmp_path, kill):
     kill_while_keeping(tmp_path / "cache", random.Random(kill), size=2**20)
 
 
+@pytest.mark.forks
 def test_several_processes_keep_and_read_at_once(tmp_path):
     children = []
     for child in range(4):

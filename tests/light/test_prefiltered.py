@@ -43,6 +43,11 @@ def at(grid, d):
     return np.stack([v.numpy() for v in values], axis=-1)
 
 
+def test_gpus_interpolate_in_single_precision():
+    # Their texture units have 8 bits for the place between two texels.
+    assert not lat_long_texture(np.ones((3, 4, 1))).use_accel()
+
+
 def integral(grid):
     rows, columns = grid.shape[:2]
     return (grid * quadrature(rows)[:, None, None]).sum(axis=(0, 1)) * 2 * np.pi / columns

@@ -402,6 +402,7 @@ def test_exposures_of_undistorted_photographs_are_those_of_the_originals(tmp_pat
 KILL = "import os, signal; os.kill(os.getppid(), signal.SIGKILL)"
 
 
+@pytest.mark.forks
 def test_next_import_clears_what_a_killed_undistortion_has_left(tmp_path, monkeypatch):
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
