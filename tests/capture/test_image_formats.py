@@ -13,6 +13,7 @@ import pillow_heif
 import pytest
 import trimesh
 from PIL import Image, ImageOps, TiffImagePlugin
+from support.helpers import peak_memory
 from support.image_files import (
     ACESCG,
     ADOBE,
@@ -374,6 +375,11 @@ def loaded(path: Path) -> tuple[np.ndarray, np.ndarray]:
     pictures = open_photographs([path], [open_image(path).size])
     (photograph,), buffer = read_photographs(pictures, [Window.whole(pictures[0].size)], [1.0])
     return photograph.pixels, buffer.channels[0]
+
+
+def test_large_chunks_are_not_read(tmp_path):
+    path = png(tmp_path / "a.png", PLAIN, tEXt=bytes(2**24 + 1))
+    assert peak_memory(lambda: open_image(path)) < 2**20
 
 
 def test_import_and_direct_use_convert_alike(tmp_path):

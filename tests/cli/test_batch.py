@@ -102,6 +102,9 @@ def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
     assert "no such folder or table" in fails(capsys, "batch", tmp_path / "x", "-o", tmp_path / "o")
     words = ("batch", tmp_path, "--steps", "export", "-o", tmp_path / "o")
     assert "needs the textures of recover" in fails(capsys, *words)
+    for workers in (2, 3):
+        words = ("batch", tmp_path, "--scheduler", "x:1", "--workers", workers)
+        assert "has no effect with --scheduler" in fails(capsys, *words, "-o", tmp_path / "o")
 
 
 def test_results_inside_captures_are_refused(shelf_of, tmp_path, capsys):

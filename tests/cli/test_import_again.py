@@ -99,7 +99,9 @@ def test_a_unit_is_corrected_by_the_printed_command(given, capsys):
     right = ["svu", "import", *NEEDED, "--mesh-scale", "0.001", "-o", "capture"]
     assert line == first == shlex.join(right)
     assert main(shlex.split(line)[1:]) == 0
-    assert "--mesh-scale" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "--mesh-scale" not in said
+    assert said.endswith("\nThen estimate its light with: svu light capture\n")
     assert svu.load_capture("capture", light="optional").mesh.bbox().max.x == pytest.approx(1)
 
 

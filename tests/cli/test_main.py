@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 
+import drjit as dr
 import pytest
 import tyro
 from support.helpers import (
@@ -17,7 +18,7 @@ from support.helpers import (
     write_scene,
 )
 
-from svu_mi import scenes
+from svu_mi import _llvm, scenes
 from svu_mi.cli import main
 from svu_mi.cli.help import REGISTRY
 from svu_mi.core.io.exr import read_exr
@@ -55,6 +56,8 @@ def test_entropy_writes_four_files(shot, tmp_path, capsys):
     record = json.loads((tmp_path / "run.json").read_text())
     assert record["settings"]["preset"]["name"] == "default"
     assert record["environment"]["variant"].endswith("_ad_rgb")
+    version = ".".join(map(str, dr.detail.llvm_version()))
+    assert record["environment"]["llvm"] == {"version": version, "source": _llvm.status().source}
     assert record["timings_s"]
     assert record["skipped"]["views left out"] == 0
     known = record["result"]["intervals"]["known_part"]

@@ -30,7 +30,7 @@ from svu_mi.geometry.texels import texels
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import viser_mesh
 from svu_mi.output.viewer.picking import Picker, nearest_texel, texel_markdown
-from svu_mi.output.viewer.viewer import Viewer
+from svu_mi.output.viewer.viewer import PHOTOGRAPH, Viewer
 from svu_mi.output.viewer.viser_mesh import LIGHT_STRENGTH, before_tone_mapping, frustum
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.svbrdf_textures import Textures
@@ -282,6 +282,10 @@ def test_what_a_browser_does_becomes_a_task_and_what_the_program_does_none(
         assert happens("look from")
         np.testing.assert_allclose(camera.position, to_world(capture.sensors[SIDEWAYS])[:3, 3])
         assert not viewer._plot.visible
+        viewer._opacity.value = viewer._opacity.max  # nothing shows through the photograph
+        assert happens("photograph")
+        photograph = frustum(capture, SIDEWAYS, PHOTOGRAPH).image
+        np.testing.assert_array_equal(viewer._frusta[SIDEWAYS].image, photograph)
         assert happens("/cameras/0000", at=(3, 4))
         np.testing.assert_allclose(camera.position, to_world(capture.sensors[0])[:3, 3])
         assert happens("click", at=(3, 4)) and viewer.picked is None  # the same click, on a camera

@@ -182,10 +182,18 @@ def test_a_table_stands_under_the_object(original, tmp_path):
     np.testing.assert_allclose(np.linalg.norm(pose[:3, :2], axis=0), wide, rtol=1e-5)
     reflectance = np.array(mi.traverse(table.bsdf())["reflectance.value"]).ravel()
     np.testing.assert_allclose(reflectance, 0.25)
-    with pytest.raises(OptionError, match="--table-albedo must be in"):
-        ImportOptions(table=0.0, table_albedo=1.5)
-    with pytest.raises(OptionError, match="--table must be a finite number"):
-        ImportOptions(table=float("nan"))
+
+
+@pytest.mark.parametrize(("option", "ends", "beyond"), [
+    ("table_albedo", (0, 1), (-0.01, 1.01, np.nan)), ("table", (-1e30, 1e30), (np.inf, np.nan)),
+    ("every", (1,), (0,)), ("faces", (100,), (99,)), ("mesh_scale", (1e-300,), (0, np.inf, np.nan)),
+])  # fmt: skip
+def test_ends_of_ranges_are_included(option, ends, beyond):
+    for value in ends:
+        assert getattr(ImportOptions(**{option: value}), option) == value
+    for value in beyond:
+        with pytest.raises(OptionError, match=f"^--{option.replace('_', '-')} must be"):
+            ImportOptions(**{option: value})
 
 
 def check(

@@ -422,7 +422,7 @@ def test_every_row_of_a_map_is_where_its_pixels_are(tmp_path):
         pixels = np.zeros((height, 2 * height, 3), np.float32)
         pixels[bright] = 1
         write_exr(tmp_path / "map.exr", {"RGB": pixels})
-        light = Light(path=tmp_path / "map.exr")
+        light = Light(path=str(tmp_path / "map.exr"))
         write_environment(light, tmp_path / "environment.exr")
         made = read_exr(tmp_path / "environment.exr")["R"]
         assert made.shape == (rows, 2 * height)
