@@ -462,7 +462,9 @@ def test_a_batch_makes_its_folder_goes_on_and_counts(shelf_of, tmp_path, capsys,
             statuses.append(status)
             os.utime(shelf / "b" / "view_0002.exr")
         assert run("batch", shelf, "-o", out) == bool(status)
-        assert capsys.readouterr().out.splitlines()[-2:] == [f"Wrote {out / 'index.html'}", said]
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-2:] == [f"Wrote {out / 'index.html'}", said]
+        assert [line[:3] for line in lines if line[:3] in ("a: ", "b: ")] == ["b: "] * bool(status)
 
 
 def test_second_worker_waits_and_reuses_results(shelf_of, tmp_path):

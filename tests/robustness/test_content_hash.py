@@ -14,6 +14,7 @@ import svu_mi as svu
 from svu_mi.capture.content_hash import Key, _are_computed, capture_key, capture_parts
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, make_mesh
+from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.hashes import digest_of, digest_of_file
 from svu_mi.errors import OptionError, SvuWarning
@@ -140,6 +141,11 @@ def test_photograph_changes_affect_the_digest_of_their_part(capture):
     masks = (np.ones((8, 16), bool), None)
     assert differing(capture, replace(capture, masks=masks)) == {"masks"}
     assert differing(capture, replace(capture, exposures=(1.0, 2.0))) == {"exposures"}
+    fine, coarse = (replace(capture, rounding=(None, Rounding.of(bits))) for bits in (16, 8))
+    low, high = (Saturation(np.full((8, 16), 7, np.uint8), np.full(3, x)) for x in (0.9, 1.0))
+    low, high = (replace(capture, clipped=(None, saturated)) for saturated in (low, high))
+    for pair in ((capture, fine), (fine, coarse), (capture, low), (low, high)):
+        assert differing(*pair) == {"photographs"}
     unused = replace(capture, used=(True, False))
     assert "photographs" in differing(capture, unused)
     assert not differing(unused, replace(unused, images=(capture.images[0], images[1])))

@@ -202,6 +202,7 @@ class Watcher:
 
     def pytest_runtest_setup(self, item: Any) -> None:
         self.now = item.nodeid.removeprefix("tests/")
+        sys.settrace(self.called)  # again: a signal that raises in it ends it
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         test = report.nodeid.removeprefix("tests/")
