@@ -45,10 +45,11 @@ class PhotographPatterns(Residuals):
         """
         view, views = self.samples.view, len(self.around.cameras)
 
+        shifted = self.around.pixels(view, self.samples.texel)
+
         def errors(shift: np.ndarray) -> np.ndarray:
-            there = self.around.pixel(view, self.samples.texel, shift[view])
-            square = np.square(self.compressed(there) - self.predicted).mean(axis=1)
-            return np.bincount(view, square, views)
+            off = self.compressed(shifted(shift[view])) - self.predicted
+            return np.bincount(view, np.einsum("sc,sc->s", off, off), views)
 
         best = np.zeros((views, 2))
         first = least = errors(best)
@@ -98,7 +99,8 @@ class PhotographPatterns(Residuals):
             mine = (own == other)[:, None]
             number = count[2 * texel + other][:, None] - mine
             mean = (sums[2 * texel + other] - mine * off) / np.maximum(number, 1)
-            square = np.square(off - mean).sum(axis=1)
+            left = off - mean
+            square = np.einsum("sc,sc->s", left, left)
             errors.append(np.bincount(self.samples.view, square, len(group)))
         of_groups = np.stack(errors, axis=1)
         return float(of_groups[np.arange(len(group)), group].sum()), of_groups

@@ -28,15 +28,15 @@ class Surroundings:
         normal: (t, 3) shading normals.
         position: (t, 3).
         cameras: (V, 3) positions.
-        pixel: function of view (S,), texel (S,) and shift (S, 2): radiance (S, C) there. Shifts are
-            in hundredths of the size of the image.
+        pixels: function of view (S,) and texel (S,): a function of shift (S, 2), which returns the
+            radiance (S, C) there. Shifts are in hundredths of the size of the image.
     """
 
     frame: np.ndarray
     normal: np.ndarray
     position: np.ndarray
     cameras: np.ndarray
-    pixel: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    pixels: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]]
 
     @staticmethod
     def of(observed: Observed, texels: np.ndarray) -> Surroundings:
@@ -52,20 +52,24 @@ class Surroundings:
         cameras = views.cameras.numpy().reshape(-1, CAMERA_FLOATS).astype(float)
         width, height, offset = (x.numpy().astype(np.int64) for x in (
             views.width, views.height, views.offset))  # fmt: skip
-        pixels = views.pixels.numpy().reshape(-1, 3)
+        radiance = views.pixels.numpy().reshape(-1, 3)
 
-        def pixel(view: np.ndarray, texel: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        def pixels(view: np.ndarray, texel: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
             rows = cameras[view, :12].reshape(-1, 3, 4)
             x, y, w = np.einsum("sij,sj->is", rows[..., :3], position[texel]) + rows[..., 3].T
             size = np.stack([width[view], height[view]], axis=1)
-            step = size.max(axis=1, keepdims=True) / 100
-            place = np.stack([x / w, y / w], axis=1) + shift * step
-            column, row = np.clip(np.floor(place).astype(np.int64), 0, size - 1).T
-            index = offset[view] + row * width[view] + column
-            return np.nan_to_num(pixels[index])
+            center, step = np.stack([x / w, y / w], axis=1), size.max(axis=1, keepdims=True) / 100
+            first, across, last = offset[view], width[view], size - 1
+
+            def shifted(shift: np.ndarray) -> np.ndarray:
+                place = np.floor(center + shift * step).astype(np.int64)
+                column, row = np.clip(place, 0, last).T
+                return np.nan_to_num(radiance[first + row * across + column])
+
+            return shifted
 
         return Surroundings(
-            frame, normal @ frame, position @ frame, cameras[:, 12:15] @ frame, pixel
+            frame, normal @ frame, position @ frame, cameras[:, 12:15] @ frame, pixels
         )
 
 

@@ -47,14 +47,14 @@ class Ball:
     def noisy(self, values):
         return values * (1 + 0.03 * self.random.normal(size=values.shape))
 
-    def judged(self, shown, predicted=None, pixel=None):
+    def judged(self, shown, predicted=None, pixels=None):
         predicted = self.noisy(self.truth) if predicted is None else predicted
         samples = HeldOutSamples(
             self.view, self.texel, self.view % FOLDS, np.ones(len(shown)), shown, predicted,
             np.full(shown.shape, 0.05), np.ones_like(shown),
         )  # fmt: skip
         around = Surroundings(
-            np.eye(3), self.normal, self.normal, self.eyes, pixel or (lambda *_: shown)
+            np.eye(3), self.normal, self.normal, self.eyes, pixels or (lambda *_: lambda _: shown)
         )
         return judged(samples, around)
 
@@ -107,10 +107,10 @@ def test_shifted_photographs_are_named(ball):
     def wave(shift):
         return 1 + np.sin(ball.texel + shift[:, :1].T / 2).T * np.ones(3)
 
-    def pixel(view, texel, shift):
-        return wave(shift - shifts[view])
+    def pixels(view, texel):
+        return lambda shift: wave(shift - shifts[view])
 
-    found = ball.judged(wave(-shifts[ball.view]), ball.noisy(wave(0 * shifts[ball.view])), pixel)
+    found = ball.judged(wave(-shifts[ball.view]), ball.noisy(wave(0 * shifts[ball.view])), pixels)
     assert found.cause == "poses" and not found.reliable
 
 
@@ -123,7 +123,9 @@ def test_equal_samples_are_not_judged(ball):
     assert ball.judged(np.ones_like(ball.truth)) is None
     nothing = np.zeros((0, 3))
     empty = HeldOutSamples(*[np.zeros(0, int)] * 3, np.zeros(0), *[nothing] * 4)
-    around = Surroundings(np.eye(3), ball.normal, ball.normal, ball.eyes, lambda *_: nothing)
+    around = Surroundings(
+        np.eye(3), ball.normal, ball.normal, ball.eyes, lambda *_: lambda _: nothing
+    )
     assert judged(empty, around) is None
 
 
