@@ -23,7 +23,6 @@ OVERLAP_LIMIT = 0.05  # largest fraction of overlapping texels, which are omitte
 OUTSIDE_LIMIT = 1e-3  # largest fraction of faces outside the unit square
 MAX_RESOLUTION = 16384
 CHUNK = 2**20  # texels interpolated at once, at 500 bytes each
-FACING = 0.2  # normals this many extents of the mesh apart per unit
 COARSEST = 1e-4  # largest rounding step of coordinates, relative to the mesh's extent
 
 
@@ -222,15 +221,7 @@ def _step(source: MeshArrays) -> float:
 
 
 def filled_image(texels: Texels, values: np.ndarray) -> np.ndarray:
-    """Convert (T, C) values to an image (H, W, C); NaN and gaps get the nearest value."""
-    seen = np.isfinite(values[:, 0])
-    if seen.any() and not seen.all():
-        # Both sides of a thin wall are near each other, but face apart.
-        place = texels.position / texels.extent, FACING * mi.Vector3f(texels.normal)
-        point = np.concatenate([np.stack([x.numpy() for x in p], axis=-1) for p in place], axis=1)
-        nearest = scipy.spatial.cKDTree(point[seen]).query(point[~seen], workers=-1)[1]
-        values = values.copy()
-        values[~seen] = values[seen][nearest]
+    """Convert (T, C) values to an image (H, W, C); gaps get the nearest value."""
     image: np.ndarray = texels.to_image(values)
     gaps = ~texels.inside()
     rows = scipy.ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)

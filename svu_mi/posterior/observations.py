@@ -19,8 +19,13 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import find_environment, lamps_of, require_light
-from svu_mi.capture.surroundings import reflecting_shapes, surroundings
-from svu_mi.core.arrays import to_drjit
+from svu_mi.capture.surroundings import (
+    Appearance,
+    mean_reflectance,
+    reflecting_shapes,
+    surroundings,
+)
+from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
@@ -65,6 +70,7 @@ log = logging.getLogger(__name__)
 
 BRIGHTEST = 1e12  # maximum mean radiance, 1 / BRIGHTEST the minimum: squares fit single precision
 COARSE = 8  # number of fine light cells per coarse cell, on average
+REFLECTING = 1024  # number of texels from which the reflectance of unseen ones is estimated
 DARK = 1e-2  # radiance unit of black photographs, relative to the mean radiance of the light
 
 
@@ -237,15 +243,33 @@ class Observed:
     def _trace_near_light(self, switches: AngularPreset, surface: TexelLanes) -> NearLight:
         key = "around", switches.bounces
         if key not in self._of_light:
-            glow = self._glow() if switches.bounces else None
-            self._of_light[key] = surroundings(self.capture, glow)
+            shown = self.appearance(switches) if switches.bounces else None
+            self._of_light[key] = surroundings(self.capture, shown)
         scene, integrator = self._of_light[key]
         return trace_near_light(scene, integrator, surface, ray_count(surface.count))
 
-    def _glow(self) -> np.ndarray:
-        """Return the mean radiance of each texel in the photographs, (H, W, 3)."""
+    def appearance(self, switches: AngularPreset) -> Appearance:
+        """Return mean radiance of seen texels; unseen ones get the object's mean reflectance."""
         every = self._lanes(np.arange(self.texels.count))
-        return filled_image(self.texels, self.visibility.mean_color(self.views, every))
+        radiance = self.visibility.mean_color(self.views, every)
+        seen = np.flatnonzero(self.coverage)
+        some = seen[evenly_spaced(len(seen), REFLECTING)]
+        irradiance = self._direct_irradiance(self._lanes(some), switches)
+        return Appearance(
+            filled_image(self.texels, radiance), mean_reflectance(radiance[some], irradiance)
+        )
+
+    def _direct_irradiance(self, surface: TexelLanes, switches: AngularPreset) -> np.ndarray:
+        """Return the irradiance of environment and lamps, (S, 3)."""
+        scene, occluded = self.views.scene, switches.occluded
+        tree, lamps = self.light_tree(switches.cells), lamps_of(self.capture.scene)
+        cells = trace_light_visibility(scene, surface, tree, occluded=occluded)
+        moments = cells.diffuse(surface, self.distant_light, 3)
+        total = np.stack([of_channel[0].numpy() for of_channel in moments], axis=-1)
+        if lamps:
+            near = trace_lamps(scene, lamps, surface, occluded=occluded).moments
+            total += np.stack([of_channel[0].numpy() for of_channel in near], axis=-1)
+        return total
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of S texels: an (S,) Float per channel, 3 or 1."""

@@ -16,10 +16,10 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.capture.surroundings import Appearance, surroundings
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
-from svu_mi.geometry.texels import filled_image
 from svu_mi.light.near_light import DEGREE, trace_near_light
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
@@ -115,19 +115,30 @@ def test_zonal_factors_of_gaussian_lobes():
     np.testing.assert_allclose(zonal_factors(lobe_profile("ggx"), 1e-3, DEGREE), 1, atol=1e-2)
 
 
-def test_unseen_texels_get_the_value_of_neighbours_that_face_alike(tmp_path):
-    """Not that of the other side of a thin plate."""
-    ball = mi.load_dict({"type": "ply", "filename": str(write_ball(tmp_path))})
-    texels = svu.texels(ball, 24)
-    up = texels.normal.z.numpy() > 0
-    values = np.where(up, 1.0, 2.0)[:, None] * np.ones((1, 3))
-    lost = np.random.default_rng(0).random(texels.count) < 0.3
-    values[lost] = np.nan
-    image = filled_image(texels, values)
-    assert np.isfinite(image).all()
-    steep = np.abs(texels.normal.z.numpy()) > 0.3
-    back = image.reshape(-1, 3)[texels.index.numpy(), 0]
-    np.testing.assert_array_equal(back[steep], np.where(up, 1.0, 2.0)[steep])
+def test_an_object_photographed_from_above_looks_from_below_as_it_does(tmp_path):
+    """Its unseen half reflects the light, which comes from above only."""
+    sky = np.zeros((32, 64, 3), np.float32)
+    sky[:16] = 2
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.3, 0.2]}}
+    mesh = {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": paint}
+    light = {"type": "envmap", "bitmap": mi.Bitmap(sky)}
+    scene = mi.load_dict({"type": "scene", "integrator": PATH, "light": light, "ball": mesh})
+    (ball,) = scene.shapes()
+    sensors = sphere_sensors(ball, 8, (32, 32), lowest=0.6)
+    images = render_views(scene, sensors, 64)
+    capture = memory_capture(scene, images, sensors, shape=ball, mesh=ball)
+    appearance = observe(capture, svu.texels(ball, 32)).appearance(angular())
+    assert 0.2 < appearance.unseen.mean() < 0.6
+    np.testing.assert_allclose(appearance.reflectance, [0.5, 0.3, 0.2], rtol=0.05)
+    likeness, integrator = surroundings(capture, appearance)
+    below = sphere_sensors(ball, 3, (12, 12))[2]
+    real, found = (
+        np.array(mi.render(each, sensor=below, integrator=integrator, spp=256))
+        for each in (scene, likeness)
+    )
+    shown = np.array(real[..., 0]) < 1.5
+    assert real[shown].min() < 0.05 < 0.2 < real[shown].max()
+    np.testing.assert_allclose(found[shown], real[shown], atol=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -169,14 +180,15 @@ def test_a_table_in_the_scene_does_not_brighten_the_object(tables):
 
 
 def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():
-    """Photographs of radiance 1 everywhere: the light of the object is its hidden part."""
+    """Its light is its hidden part."""
     scene = load_scene(scenes.path("knot"), {"resolution": "24", "max_depth": "2"})
     (knot,) = scene.shapes()
     sensors = sphere_sensors(knot, 6, (24, 24))
     images = [np.ones((24, 24, 3), np.float32)] * 6
     capture = memory_capture(scene, images, sensors, shape=knot, mesh=knot)
     observed = observe(capture, svu.texels(knot, 16))
-    near = observed.near_light(angular("default", bounces=True))
+    everywhere = Appearance(np.ones((16, 16, 3), np.float32), np.zeros(3))
+    near = trace_near_light(*surroundings(capture, everywhere), observed.surface, 256)
     *colors, hidden = near.values.numpy().reshape(4, -1, len(observed.seen))
     assert hidden[0].mean() > 0.1  # a knot hides much from itself
     for color in colors:  # a ray in a hundred meets a face from behind, which is dark
