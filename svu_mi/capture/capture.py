@@ -29,6 +29,19 @@ class LightUncertainty:
     scale: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
+@dataclass(frozen=True)
+class Flash:
+    """Point lamp fixed to the camera.
+
+    Attributes:
+        position: In the camera's frame (+X left, +Y up, +Z forward), in units of the scene.
+        intensity: Radiant intensity R, G and B: at distance r, the irradiance is intensity / r^2.
+    """
+
+    position: tuple[float, float, float]
+    intensity: tuple[float, float, float]
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Capture:
     """A scene, its target object, and one photograph per sensor.
@@ -53,6 +66,7 @@ class Capture:
             photograph stores integers.
         warnings: Warnings and notes of loading, one sentence each.
         files: V file names in ``source``; empty for captures made in memory.
+        flash: Lamp fixed to the camera, which is lit in all photographs; None without one.
         light_uncertainty: Uncertainty of an estimated light; None if the light was given.
         found_light: The ``LightEstimate`` in use (see ``with_light``); None if the light was given.
         buffer: Contiguous pixels of ``images`` for kernels; None for captures made in memory.
@@ -83,6 +97,7 @@ class Capture:
     clipped: tuple[Saturation | None, ...] = field(default=())
     rounding: tuple[Rounding | None, ...] = field(default=())
     files: tuple[str, ...] = ()
+    flash: Flash | None = None
     light_uncertainty: LightUncertainty | None = None
     found_light: Any | None = None
     buffer: PixelBuffer | None = None
@@ -94,6 +109,7 @@ class Capture:
         size = " x ".join(map(str, sizes[-1])) if sizes else "0 x 0"
         unused = self.count - sum(self.used)
         lights = dict.fromkeys(emitter.class_name() for emitter in self.scene.emitters())
+        lights |= {} if self.flash is None else {"flash": None}
         parts = [
             f"{counted(self.count, 'photograph')} of {'up to ' if len(sizes) > 1 else ''}{size}",
             *([f"{unused} unused"] if unused else []),

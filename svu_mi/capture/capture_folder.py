@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from svu_mi.capture.capture import Flash
 from svu_mi.capture.scene import check_sensor
 from svu_mi.capture.sensors import LARGEST, describe, make_sensor
 from svu_mi.core.io.files import is_temporary, read_json, refusing, write_json
@@ -22,12 +23,15 @@ from svu_mi.errors import CaptureError
 FILE = "capture.json"
 FORMAT = "svu-capture"
 VERSION = 1
+FLASH = {"position": Field(NUMBER, (3,), -LARGEST, LARGEST),
+         "intensity": Field(NUMBER, (3,), 1 / LARGEST, LARGEST)}  # fmt: skip
 CAPTURE = {
     "version": Field(WHOLE, (), VERSION, VERSION, default=VERSION),
     "scene": Field(TEXT, default=None), "shape": Field(TEXT, default=None),
     "define": Field(SIMPLE, (NAMES,), -LARGEST, LARGEST, default={}),
     "exposure": Field(NUMBER, (Axis("gains", 0, MAX_VIEWS),), 1 / LARGEST, LARGEST, default=()),
     "sensors": Field(OBJECT, (Axis("cameras", 0, MAX_VIEWS),), default=()),
+    "flash": Field(FLASH, default=None),
     "import": Field(OBJECT, default={}), "rendered": Field(OBJECT, default={}),
 }  # fmt: skip
 
@@ -42,6 +46,7 @@ class Description:
         shape: Name of the target (``load_capture``); None selects the only candidate.
         exposures: One gain per view; empty if unknown.
         sensors: Descriptions of the sensors; empty selects the scene's sensors.
+        flash: Lamp fixed to the camera; None without one.
         imported: Source and options of the import; empty if not imported.
         rendered: Render settings ``spp`` and ``seed``; empty if not rendered.
         run: Id of the run that wrote the file; empty if unknown.
@@ -52,6 +57,7 @@ class Description:
     shape: str | None = None
     exposures: Sequence[float] = ()
     sensors: Sequence[Mapping[str, Any]] = ()
+    flash: Flash | None = None
     imported: Mapping[str, Any] = field(default_factory=dict)
     rendered: Mapping[str, Any] = field(default_factory=dict)
     run: str = ""
@@ -107,10 +113,15 @@ def read(folder: Path) -> Description | None:
         shape=values["shape"],
         exposures=tuple(values["exposure"]),
         sensors=tuple(values["sensors"]),
+        flash=None if values["flash"] is None else _flash(values["flash"]),
         imported=values["import"],
         rendered=values["rendered"],
         run=written.run if written else "",
     )
+
+
+def _flash(values: Mapping[str, Sequence[float]]) -> Flash:
+    return Flash(*(tuple(map(float, values[name])) for name in FLASH))  # type: ignore[arg-type]
 
 
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:
@@ -141,6 +152,7 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
         "shape": description.shape,
         "exposure": list(description.exposures),
         "sensors": [describe(sensor) for sensor in sensors],
+        **({} if description.flash is None else {"flash": asdict(description.flash)}),
         **({"import": description.imported} if description.imported else {}),
         **({"rendered": description.rendered} if description.rendered else {}),
         **draft.entries(),

@@ -89,6 +89,7 @@ def capture_parts(capture: Capture) -> dict[str, str]:
         "sensors": Key([describe(sensor) for sensor in capture.sensors]),
         "photographs": Key(list(map(bool, capture.used)), pixels),
         "masks": Key(masks),
+        **({} if capture.flash is None else {"flash": Key(capture.flash)}),
         "exposures": Key(list(map(float, capture.exposures))),
     }
     _add_clipped(keys["photographs"], capture, used)

@@ -253,6 +253,7 @@ class CapturePlan:
             used=used, source=self.folder, warnings=tuple(notes),
             clipped=_any(photograph.clipped for photograph in photographs),
             rounding=_any(photograph.rounding for photograph in photographs), buffer=buffer,
+            flash=self.description.flash,
         )  # fmt: skip
 
     def _geometry_warnings(self, sensors: Sequence[Any]) -> list[str]:
@@ -314,7 +315,7 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
 def _light(scene: Any, description: Description, light: Light, folder: Path) -> Any:
     """Return the environment emitter; None without light if ``light`` allows that."""
     if not scene.emitters():
-        if light == "optional":
+        if light == "optional" or description.flash is not None:
             return None
         if description.imported:
             raise SceneError(

@@ -171,6 +171,22 @@ def find_environment(scene: Any, path: str) -> Any:
     return light
 
 
+def environment_of(capture: Any) -> Any:
+    """Return the environment emitter of a capture, which must be its only light."""
+    name = str(capture.source or "The scene")
+    if capture.flash is not None:
+        raise SceneError(
+            f"{name}: a flash is not supported here; the light must be one distant envmap, "
+            "constant or sunsky emitter. Estimates with the presets default and fixed support it."
+        )
+    return find_environment(capture.scene, name)
+
+
+def is_lit(capture: Any) -> bool:
+    """Return whether a capture has a light."""
+    return bool(capture.scene.emitters()) or capture.flash is not None
+
+
 def find_light(scene: Any, path: str) -> Any | None:
     """Return the environment emitter, None if there are lamps only; raise if one is unsupported."""
     emitters = scene.emitters()
@@ -202,7 +218,7 @@ def _emitter_name(emitter: Any) -> str:
 
 def require_light(capture: Any) -> None:
     """Raise if a capture has no light."""
-    if not capture.scene.emitters():
+    if not is_lit(capture):
         label = f"{capture.source or 'The scene'}: the capture has no light; estimate it with "
         raise SceneError(
             f"{label}svu.with_light(capture, svu.estimate_light(capture, texels)).",

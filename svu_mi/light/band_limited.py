@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.scene import find_light
+from svu_mi.capture.scene import find_light, require_light
 from svu_mi.light import latlong
 from svu_mi.light.environment import (
     Environment,
@@ -91,9 +91,11 @@ def look_up(texture: Any, local: Any) -> list[Any]:
 def read_lighting(capture: Capture, views: int) -> Lighting:
     """Read a capture's distant light; band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2).
 
-    It is black if the scene has lamps only.
+    It is black if the scene has lamps or a flash only.
     """
-    light = find_light(capture.scene, str(capture.source or "scene"))
+    require_light(capture)
+    emitters, name = capture.scene.emitters(), str(capture.source or "scene")
+    light = find_light(capture.scene, name) if emitters else None
     environment = no_environment() if light is None else read_environment(light)
     return band_limited_lighting(environment, views)
 

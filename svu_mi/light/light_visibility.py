@@ -141,25 +141,25 @@ def trace_light_visibility(
 
 
 @dataclass(frozen=True)
-class MirrorVisibility:
-    """Visibility in mirror directions: bits, and the lane of each texel."""
+class SampleBits:
+    """Bits of samples by slot, and the lane of each texel."""
 
     bits: Bits
     lane: Any
 
-    def subset(self, lanes: np.ndarray) -> MirrorVisibility:
-        """Return the visibility of selected lanes, as that of texels 0, 1, ..."""
+    def subset(self, lanes: np.ndarray) -> SampleBits:
+        """Return the bits of selected lanes, as those of texels 0, 1, ..."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
-        return MirrorVisibility(self.bits.at(chosen), dr.arange(mi.UInt32, len(lanes)))
+        return SampleBits(self.bits.at(chosen), dr.arange(mi.UInt32, len(lanes)))
 
     def test(self, slot: Any, texel: Any) -> Any:
-        """Return whether the mirror direction is unoccluded, Bool."""
+        """Return the bit of a slot at each texel, Bool."""
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
 
 
 def trace_mirror_visibility(
     views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
-) -> MirrorVisibility:
+) -> SampleBits:
     """Trace the mirror direction of each visible sample."""
     bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
 
@@ -170,7 +170,7 @@ def trace_mirror_visibility(
     start = dr.zeros(mi.UInt32, surface.count)
     visibility.over_views(views, surface, trace, (start,), clipped=True)
     dr.eval(bits)
-    return MirrorVisibility(bits, lane)
+    return SampleBits(bits, lane)
 
 
 def trace_mirror(scene: Any, surface: TexelLanes, seen: ViewSample, active: Any) -> Any:

@@ -97,7 +97,7 @@ def predict_samples(
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(total: Any) -> Any:
-            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
+            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free, slot)
             shown = as_channels(seen.radiance, channels)
             weight = noise_weight(sum(shown) / channels, knee, seen.contrast, eta)
             fold = dr.gather(mi.UInt32, fold_of_view, dr.gather(mi.UInt32, order, slot))

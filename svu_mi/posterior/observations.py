@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
-from svu_mi.capture.scene import find_environment, lamps_of, require_light
+from svu_mi.capture.scene import environment_of, lamps_of, require_light
 from svu_mi.capture.surroundings import (
     Appearance,
     mean_reflectance,
@@ -28,7 +28,7 @@ from svu_mi.capture.surroundings import (
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import ShLobes
 from svu_mi.geometry.packed_views import Views, pack_views
@@ -37,11 +37,12 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.texels import Texels, filled_image
 from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.band_limited import Lighting, read_lighting
+from svu_mi.light.flash_light import FlashLight, trace_flash
 from svu_mi.light.lamps import Lamps, trace_lamps
 from svu_mi.light.light_tree import LightTree, build_light_tree
 from svu_mi.light.light_visibility import (
     LightVisibility,
-    MirrorVisibility,
+    SampleBits,
     trace_light_visibility,
     trace_mirror_visibility,
 )
@@ -145,12 +146,12 @@ class Observed:
     @property
     def lighting(self) -> Lighting:
         """Environment light, for methods that support no lamps."""
-        find_environment(self.capture.scene, str(self.capture.source or "The scene"))
+        environment_of(self.capture)
         return self.distant_light
 
     @property
     def distant_light(self) -> Lighting:
-        """Environment light, read on first use; black if there are lamps only."""
+        """Environment light, read on first use; black without an environment."""
         if "lighting" not in self._of_light:
             require_light(self.capture)
             self._of_light["lighting"] = read_lighting(self.capture, sum(self.capture.used))
@@ -178,14 +179,14 @@ class Observed:
         return lanes
 
     @property
-    def mirrors(self) -> MirrorVisibility:
+    def mirrors(self) -> SampleBits:
         """Visibility of the mirror direction of each sample; traced on first use."""
         if "mirrors" not in self._rays:
             lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
             self._rays["mirrors"] = trace_mirror_visibility(
                 self.views, self.surface, self.visibility, lane
             )
-        mirrors: MirrorVisibility = self._rays["mirrors"]
+        mirrors: SampleBits = self._rays["mirrors"]
         return mirrors
 
     def light_visibility(self, cells: int, *, occluded: bool = True) -> LightVisibility:
@@ -234,6 +235,19 @@ class Observed:
             )
         return self._rays.get(key)
 
+    @property
+    def flash(self) -> FlashLight | None:
+        """Flash and its shadows, traced on first use; None without one."""
+        if self.capture.flash is None:
+            return None
+        light = FlashLight.of(self.capture.flash, self.capture, self.visibility)
+        if "flash" not in self._rays:
+            lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
+            self._rays["flash"] = trace_flash(
+                light, self.views, self.surface, self.visibility, lane
+            )
+        return replace(light, lit=self._rays["flash"])
+
     def lit_by_surfaces(self, switches: AnyPreset) -> bool:
         """Return whether light from other surfaces is modelled, and there is some."""
         if not isinstance(switches, AngularPreset) or not switches.with_surfaces:
@@ -241,6 +255,11 @@ class Observed:
         return switches.bounces or self._has_reflectors
 
     def _trace_near_light(self, switches: AngularPreset, surface: TexelLanes) -> NearLight:
+        if switches.bounces and self.capture.flash is not None:
+            raise OptionError(
+                "Light that the object reflects onto itself is not supported with a flash; omit "
+                "--bounces."
+            )
         key = "around", switches.bounces
         if key not in self._of_light:
             shown = self.appearance(switches) if switches.bounces else None
@@ -297,6 +316,7 @@ class Observed:
             self.distant_light, visibility, channels,
             self._near_light_of(texels, switches, surface),
             self._lamps_of(texels, switches, surface),
+            self.flash,
         )  # fmt: skip
         return ReflectionModel.of(surface, light, roughness, switches, fitted)
 

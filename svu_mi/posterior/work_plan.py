@@ -51,7 +51,7 @@ def make_plan(
     """Return the plan and log skipped work; ``prior`` are ``log_prior`` tables."""
     grey_light = skip.channels and switches.colors == 3 and observed.distant_light.environment.grey
     lit = observed.lit_by_surfaces(switches) or lamps_of(observed.capture.scene)
-    grey_light = grey_light and not lit
+    grey_light = grey_light and not (lit or observed.capture.flash)
     # Grey photographs under coloured light need all three channels.
     grey = grey_light and observed.views.grey
     levels = np.ones(grid.shape[0], bool)

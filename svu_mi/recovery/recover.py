@@ -157,6 +157,8 @@ def _smoothed(run: RecoveryRun, options: ShOptions, means: Textures) -> Textures
 def _recover_by_path(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
     """Fit path-traced renderings to batches of pixels of the photographs."""
     options = run.options["path"]
+    if run.capture.flash is not None:
+        raise OptionError("recover(): the method path supports no flash; use the method sh.")
     if options.max_depth is None:
         options = replace(options, max_depth=path_length(run.capture.scene))
     views = run.observed.views

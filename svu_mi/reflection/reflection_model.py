@@ -16,10 +16,12 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import Lighting, moment_map
+from svu_mi.light.flash_light import FlashLight
 from svu_mi.light.lamps import Lamps
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
+from svu_mi.reflection.flash_lobes import FlashLobes
 from svu_mi.reflection.lamp_lobes import LampLobes
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
@@ -32,7 +34,7 @@ from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added_lobes
 class IncidentLight:
     """Light, visibility of its cells (None: unoccluded), and number of channels, 3 or 1.
 
-    ``near`` is light from other surfaces, and ``lamps`` that of lamps; None without any.
+    ``near`` is light from other surfaces, ``lamps`` and ``flash`` that of lamps; None without any.
     """
 
     lighting: Lighting
@@ -40,6 +42,7 @@ class IncidentLight:
     channels: int
     near: NearLight | None = None
     lamps: Lamps | None = None
+    flash: FlashLight | None = None
 
 
 class FittedLobes(Protocol):
@@ -58,7 +61,7 @@ class ReflectionModel:
         narrow: narrow lobes, of the first levels; or None.
         wide: wide lobes, of the remaining levels; or None.
         fitted: lobes of all levels if light is fitted per texel; or None.
-        near, lamps: lobes of all levels for light from other surfaces and of lamps; or None.
+        near, lamps, flash: lobes of all levels for light from other surfaces and of lamps; or None.
         moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
 
@@ -71,6 +74,7 @@ class ReflectionModel:
     moments: list[list[Any]]
     near: NearLobes | None = None
     lamps: LampLobes | None = None
+    flash: FlashLobes | None = None
 
     @staticmethod
     def of(
@@ -93,18 +97,19 @@ class ReflectionModel:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = visibility.diffuse(surface, lighting, channels)
-        near, lamps = None, None
+        near, lamps, flash = None, None, None
         if light.near is not None:
             near = NearLobes.of(light.near, channels, alpha, switches)
         if light.lamps is not None:
             lamps = LampLobes(light.lamps, channels, alpha)
+        if light.flash is not None:
+            flash = FlashLobes(light.flash, channels, alpha)
         for others in (near, lamps):
             if others is not None:
-                both = zip(moments, others.moments, strict=True)
-                moments = [[a + b for a, b in zip(*pair, strict=True)] for pair in both]
+                moments = _added(moments, others.moments)
         dr.eval(moments)
         return ReflectionModel(
-            roughness, surface, switches, narrow, wide, fitted, moments, near, lamps
+            roughness, surface, switches, narrow, wide, fitted, moments, near, lamps, flash
         )
 
     @property
@@ -122,9 +127,14 @@ class ReflectionModel:
         """True if ``columns`` depends on the visibility of the mirror direction."""
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
-    def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:
-        """Return (e, p, q, d) by level and channel; ``free`` marks unoccluded mirror rays."""
-        normal, lobes = mi.Vector3f(self.surface.normal), []
+    def columns(
+        self, direction: Any, cosine: Any, free: Any, slot: Any | None = None
+    ) -> list[list[Parts]]:  # fmt: skip
+        """Return (e, p, q, d) by level and channel.
+
+        ``free`` marks unoccluded mirror rays. ``slot`` is the view, which a flash needs.
+        """
+        normal, lobes, shown = mi.Vector3f(self.surface.normal), [], self.moments
         if self.fitted is not None:
             lobes += self.fitted.reflect(direction, cosine)
         if self.narrow is not None:
@@ -136,11 +146,28 @@ class ReflectionModel:
             lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine, hidden))
         if self.lamps is not None:
             lobes = added_lobes(lobes, self.lamps.reflect(self.surface, direction, cosine))
+        retro = [mi.Float(0)] * self.channels
+        if self.flash is not None:
+            if slot is None:
+                raise OptionError("Views that are not photographs have no flash; use other light.")
+            cell = self.flash.light.seen_from(self.surface, slot)
+            lobes = added_lobes(lobes, self.flash.reflect(self.surface, cell, direction, cosine))
+            shown = _added(shown, self.flash.moments(self.surface, cell))
+            if self.switches.diffuse == "disney":
+                retro = self.flash.retroreflection(self.surface, cell, direction, cosine)
         shading = [
-            diffuse_shading(self.switches.diffuse, moments, direction, cosine)
-            for moments in self.moments
+            diffuse_shading(self.switches.diffuse, moments, direction, cosine) for moments in shown
         ]
         return [
-            [(a + r * b, *lobe) for (a, b), lobe in zip(shading, lobes[k], strict=True)]
+            [
+                (a + r * b + r * r * c, *lobe)
+                for (a, b), c, lobe in zip(shading, retro, lobes[k], strict=True)
+            ]
             for k, r in enumerate(self.roughness.tolist())
         ]
+
+
+def _added(first: list[list[Any]], second: list[list[Any]]) -> list[list[Any]]:
+    """Return the sums of the moments of each channel."""
+    both = zip(first, second, strict=True)
+    return [[a + b for a, b in zip(*pair, strict=True)] for pair in both]

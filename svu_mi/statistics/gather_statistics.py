@@ -17,7 +17,7 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.visibility import Visibility
-from svu_mi.light.light_visibility import MirrorVisibility
+from svu_mi.light.light_visibility import SampleBits
 from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.mix_columns import (
     Parts,
@@ -62,7 +62,7 @@ UNIFORM = Weighting()
 
 
 def gather_statistics(
-    views: Views, visibility: Visibility, model: ReflectionModel, mirrors: MirrorVisibility | None,
+    views: Views, visibility: Visibility, model: ReflectionModel, mirrors: SampleBits | None,
     channels: int | None = None, weighting: Weighting = UNIFORM,
 ) -> LazyStatistics:  # fmt: skip
     """Return the statistics of a model's texels in C channels, 3 or 1.
@@ -80,7 +80,7 @@ def gather_statistics(
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(weight: Any, number: Any, *state: Any) -> tuple[Any, ...]:
-            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
+            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free, slot)
             radiance, w = as_channels(seen.radiance, channels), dr.select(seen.seen, mi.Float(1), 0)
             if kappa < inf:
                 w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)

@@ -22,7 +22,7 @@ from svu_mi.capture.importers.axis_fixes import (
 from svu_mi.capture.importers.source import OPENCV, OPENGL
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
 from svu_mi.capture.replace_material import is_same, make_scene
-from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.capture.scene import environment_of, to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.light.environment import read_environment
 from svu_mi.light.prefiltered import rasterized
@@ -137,7 +137,7 @@ def with_changed_mesh(capture: Capture, change: Callable[[MeshArrays], MeshArray
 
 def _with_turned_light(capture: Capture, fix: AxisFix) -> Capture:
     """Return the capture with its light rotated; constant light stays, a sky becomes a map."""
-    emitter = find_environment(capture.scene, str(capture.source or "scene"))
+    emitter = environment_of(capture)
     if emitter.class_name() == "ConstantBackgroundEmitter":
         return capture
     turned = to_world(emitter) @ affine(fix.matrix)

@@ -171,7 +171,7 @@ def unit_of(capture: Capture, small: Capture) -> float:
 def too_bright(estimate: Estimate) -> str | None:
     """Return a message if the photographs are too bright for the light, else None."""
     seen = estimate.observed
-    if seen is None or lamps_of(seen.capture.scene):
+    if seen is None or lamps_of(seen.capture.scene) or seen.capture.flash is not None:
         return None
     points = scatter_points(seen.capture.shape)
     sightings = sample_points(points, Thumbnails(seen.capture, seen.views, np.zeros((0, 4, 4))))

@@ -78,7 +78,7 @@ def estimate_light(
     options, progress = options or LightOptions(), progress or Progress()
     switches: AngularPreset = find_preset("default", method="angular", bare_metals=0.0)
     observed = observations_of(source, texels, progress)
-    if lamps_of(observed.capture.scene):
+    if lamps_of(observed.capture.scene) or observed.capture.flash is not None:
         _ = observed.lighting  # refuses lamps
     with progress.stage("Choosing texels"):
         samples = TexelSamples.of(observed, switches, options.texels, options.known)

@@ -36,6 +36,7 @@ from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.import_options import Light
 from svu_mi.capture.replace_material import make_scene
+from svu_mi.capture.scene import is_lit
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.io.provenance import LIGHT
@@ -151,7 +152,7 @@ def _resolved(
     lit, factors = capture, None
     if given is not None:
         lit, factors = _under_given(capture, given, progress)
-    elif not capture.scene.emitters():
+    elif not is_lit(capture):
         light = _estimated(capture, elsewhere, gains, known or {}, progress)
         lit, factors = with_light(capture, light), light.gains
     if gains and factors is None:

@@ -1,0 +1,93 @@
+"""Light of a flash: a point lamp fixed to the camera, whose place differs between views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.capture import Capture, Flash
+from svu_mi.capture.scene import to_world
+from svu_mi.core.arrays import to_drjit
+from svu_mi.geometry.bitset import Bits
+from svu_mi.geometry.packed_views import Views
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample
+from svu_mi.geometry.visibility import Visibility
+from svu_mi.light.lamps import END
+from svu_mi.light.light_visibility import SampleBits
+
+
+class FlashCell:
+    """The flash of one view as seen from texels, with the interface of ``LightCells``."""
+
+    # Not a dataclass, because Dr.Jit would treat the fields as loop state.
+
+    def __init__(self, direction: Any, irradiance: Sequence[Any]) -> None:
+        self.direction, self.irradiance = direction, list(irradiance)
+
+    def at(self, _: Any) -> tuple[Any, Any]:
+        """Return direction (Vector3f) and radius (Float)."""
+        return self.direction, mi.Float(0)
+
+    def light(self, _: Any, channels: int) -> list[Any]:
+        """Return the irradiance R, G and B, or their mean if ``channels`` is 1."""
+        return self.irradiance if channels == 3 else [sum(self.irradiance) / 3]
+
+
+@dataclass(frozen=True)
+class FlashLight:
+    """Flash of all views.
+
+    Attributes:
+        position: (N,) Point3f, place of the lamp by slot (``Visibility.order``).
+        intensity: Radiant intensity R, G and B, Floats.
+        lit: samples on which it shines; None: all.
+    """
+
+    position: Any
+    intensity: Any
+    lit: SampleBits | None = None
+
+    @staticmethod
+    def of(flash: Flash, capture: Capture, visibility: Visibility) -> FlashLight:
+        """Place the flash of each view."""
+        poses = np.stack([to_world(sensor) for sensor in capture.used_sensors])
+        position = (poses @ np.append(flash.position, 1))[visibility.order.numpy(), :3]
+        return FlashLight(
+            to_drjit(mi.Point3f, position.T.astype(np.float32)),
+            [dr.opaque(mi.Float, x) for x in flash.intensity],
+        )
+
+    def seen_from(self, surface: TexelLanes, slot: Any) -> FlashCell:
+        """Return the flash of a slot as seen from texels; it has no irradiance where hidden."""
+        way = dr.gather(mi.Point3f, self.position, slot) - surface.position
+        square = dr.squared_norm(way)
+        direction = mi.Vector3f(way * dr.rsqrt(square))
+        free = dr.dot(surface.geometric_normal, direction) > 0
+        if self.lit is not None:
+            free &= self.lit.test(slot, surface.index)
+        return FlashCell(direction, [dr.select(free, x / square, 0) for x in self.intensity])
+
+
+def trace_flash(
+    flash: FlashLight, views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
+) -> SampleBits:
+    """Trace a shadow ray from each visible sample to the flash of its view."""
+    bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
+    origin = surface.position + surface.offset * surface.geometric_normal
+
+    def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
+        way = dr.gather(mi.Point3f, flash.position, slot) - origin
+        ray = mi.Ray3f(origin, mi.Vector3f(way), 1 - END, 0.0, [])
+        active = visibility.needs_work(seen.seen)
+        free = seen.seen & ~views.scene.ray_test(ray, coherent=True, active=active)
+        return (bits.push(word, slot, place, free),)
+
+    start = dr.zeros(mi.UInt32, surface.count)
+    visibility.over_views(views, surface, trace, (start,), clipped=True)
+    dr.eval(bits)
+    return SampleBits(bits, lane)

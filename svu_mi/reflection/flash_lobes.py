@@ -1,0 +1,58 @@
+"""Diffuse and specular reflection of a flash, whose direction differs between views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.light.flash_light import FlashCell, FlashLight
+from svu_mi.reflection.lobes import widened_ggx
+from svu_mi.reflection.wide_lobes import Lobe, LobeSums
+
+
+@dataclass(frozen=True)
+class FlashLobes:
+    """Lobes of (K,) widths under a flash; ``channels`` is 3, or 1 for the mean of R, G and B."""
+
+    light: FlashLight
+    channels: int
+    alpha: np.ndarray
+
+    def moments(self, surface: TexelLanes, cell: FlashCell) -> list[list[Any]]:
+        """Return the diffuse moments (``LightVisibility.diffuse``): 8 Floats per channel."""
+        cosine = dr.maximum(dr.dot(surface.normal, cell.direction), 0)
+        result = []
+        for value in cell.light(0, self.channels):
+            parts = value * cosine, value * cosine * (1 - cosine) ** 5
+            result.append([x for part in parts for x in (part, *(part * cell.direction))])
+        return result
+
+    def retroreflection(
+        self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any
+    ) -> list[Any]:  # fmt: skip
+        """Return the term R^2 F_o F_i / pi, without roughness^2, that ``diffuse_shading`` lacks.
+
+        It matters near the camera only, where the lamp is.
+        """
+        incident = dr.maximum(dr.dot(surface.normal, cell.direction), 0)
+        towards = dr.square(1 + dr.dot(direction, cell.direction))
+        both = incident * ((1 - incident) * (1 - cosine)) ** 5 * towards / np.pi
+        return [value * both for value in cell.light(0, self.channels)]
+
+    def reflect(
+        self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any
+    ) -> list[Lobe]:  # fmt: skip
+        """Return the light that each lobe reflects towards the camera."""
+        normal = mi.Vector3f(surface.normal)
+        sums = LobeSums(self.alpha, self.channels, normal, direction, widened_ggx)
+
+        def add(number: Any, memory: Any) -> tuple[Any, Any]:
+            angles = sums.angles(cell, number)
+            return (number + 1, *sums.add(cell, number, angles, mi.Bool(True), memory))
+
+        return sums.integrate(dr.opaque(mi.UInt32, 1), add, cosine)
