@@ -13,8 +13,6 @@ import numpy as np
 from svu_mi.capture.capture import Capture, Flash
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import to_drjit
-from svu_mi.geometry.bitset import Bits
-from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.lamps import END
@@ -72,22 +70,11 @@ class FlashLight:
             free &= self.lit.test(slot, surface.index)
         return FlashCell(direction, [dr.select(free, x / square, 0) for x in self.intensity])
 
-
-def trace_flash(
-    flash: FlashLight, views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
-) -> SampleBits:
-    """Trace a shadow ray from each visible sample to the flash of its view."""
-    bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
-    origin = surface.position + surface.offset * surface.geometric_normal
-
-    def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
-        way = dr.gather(mi.Point3f, flash.position, slot) - origin
+    def trace(
+        self, scene: Any, surface: TexelLanes, seen: ViewSample, slot: Any, active: Any
+    ) -> Any:
+        """Return whether nothing hides the flash of visible samples."""
+        origin = surface.position + surface.offset * surface.geometric_normal
+        way = dr.gather(mi.Point3f, self.position, slot) - origin
         ray = mi.Ray3f(origin, mi.Vector3f(way), 1 - END, 0.0, [])
-        active = visibility.needs_work(seen.seen)
-        free = seen.seen & ~views.scene.ray_test(ray, coherent=True, active=active)
-        return (bits.push(word, slot, place, free),)
-
-    start = dr.zeros(mi.UInt32, surface.count)
-    visibility.over_views(views, surface, trace, (start,), clipped=True)
-    dr.eval(bits)
-    return SampleBits(bits, lane)
+        return seen.seen & ~scene.ray_test(ray, coherent=True, active=active)

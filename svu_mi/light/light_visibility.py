@@ -7,6 +7,7 @@ group of coarse cells is partly hidden.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -157,18 +158,19 @@ class SampleBits:
         return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
 
 
-def trace_mirror_visibility(
-    views: Views, surface: TexelLanes, visibility: Visibility, lane: Any
-) -> SampleBits:
-    """Trace the mirror direction of each visible sample."""
+def trace_samples(
+    views: Views, surface: TexelLanes, visibility: Visibility, lane: Any,
+    trace: Callable[[ViewSample, Any, Any], Any],
+) -> SampleBits:  # fmt: skip
+    """Return ``trace(sample, slot, active)`` (Bool) of each visible sample."""
     bits, place = Bits.clear(dr.width(visibility.order), surface.count), surface.lane
 
-    def trace(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
-        free = trace_mirror(views.scene, surface, seen, visibility.needs_work(seen.seen))
+    def add(seen: ViewSample, slot: Any, word: Any) -> tuple[Any]:
+        free = trace(seen, slot, visibility.needs_work(seen.seen))
         return (bits.push(word, slot, place, free),)
 
     start = dr.zeros(mi.UInt32, surface.count)
-    visibility.over_views(views, surface, trace, (start,), clipped=True)
+    visibility.over_views(views, surface, add, (start,), clipped=True)
     dr.eval(bits)
     return SampleBits(bits, lane)
 

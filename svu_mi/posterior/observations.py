@@ -7,7 +7,7 @@ and rays to light cells are computed once, on first use.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf
@@ -33,18 +33,19 @@ from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import ShLobes
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.texels import Texels, filled_image
 from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.band_limited import Lighting, read_lighting
-from svu_mi.light.flash_light import FlashLight, trace_flash
+from svu_mi.light.flash_light import FlashLight
 from svu_mi.light.lamps import Lamps, trace_lamps
 from svu_mi.light.light_tree import LightTree, build_light_tree
 from svu_mi.light.light_visibility import (
     LightVisibility,
     SampleBits,
     trace_light_visibility,
-    trace_mirror_visibility,
+    trace_mirror,
+    trace_samples,
 )
 from svu_mi.light.near_light import NearLight, ray_count, trace_near_light
 from svu_mi.posterior.kept_results import (
@@ -181,13 +182,25 @@ class Observed:
     @property
     def mirrors(self) -> SampleBits:
         """Visibility of the mirror direction of each sample; traced on first use."""
-        if "mirrors" not in self._rays:
+        scene, surface = self.views.scene, self.surface
+        return self._traced("mirrors", lambda seen, _, on: trace_mirror(scene, surface, seen, on))
+
+    @property
+    def flash(self) -> FlashLight | None:
+        """Flash and its shadows, traced on first use; None without one."""
+        if self.capture.flash is None:
+            return None
+        light = FlashLight.of(self.capture.flash, self.capture, self.visibility)
+        return replace(
+            light, lit=self._traced("flash", partial(light.trace, self.views.scene, self.surface))
+        )
+
+    def _traced(self, name: str, trace: Callable[[ViewSample, Any, Any], Any]) -> SampleBits:
+        if name not in self._rays:
             lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
-            self._rays["mirrors"] = trace_mirror_visibility(
-                self.views, self.surface, self.visibility, lane
-            )
-        mirrors: SampleBits = self._rays["mirrors"]
-        return mirrors
+            self._rays[name] = trace_samples(self.views, self.surface, self.visibility, lane, trace)
+        bits: SampleBits = self._rays[name]
+        return bits
 
     def light_visibility(self, cells: int, *, occluded: bool = True) -> LightVisibility:
         """Return the visibility of ``cells`` fine light cells from S texels; cached."""
@@ -234,19 +247,6 @@ class Observed:
                 self.views.scene, lamps, self.surface, occluded=switches.occluded
             )
         return self._rays.get(key)
-
-    @property
-    def flash(self) -> FlashLight | None:
-        """Flash and its shadows, traced on first use; None without one."""
-        if self.capture.flash is None:
-            return None
-        light = FlashLight.of(self.capture.flash, self.capture, self.visibility)
-        if "flash" not in self._rays:
-            lane = to_drjit(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
-            self._rays["flash"] = trace_flash(
-                light, self.views, self.surface, self.visibility, lane
-            )
-        return replace(light, lit=self._rays["flash"])
 
     def lit_by_surfaces(self, switches: AnyPreset) -> bool:
         """Return whether light from other surfaces is modelled, and there is some."""

@@ -22,7 +22,7 @@ TRACERS = (
     "pack_views",
     "trace_visibility",
     "trace_light_visibility",
-    "trace_mirror_visibility",
+    "trace_samples",
     "read_lighting",
 )
 BRIEF = ShOptions(descent=DescentOptions(steps=2))
@@ -124,7 +124,7 @@ def test_presets_without_occlusion_trace_no_light_cell(capture, layout, calls):
     for preset in ("fast", "paper"):
         svu.estimate(capture, layout, preset=preset)
     svu.estimate(capture, layout, "spectrum", "paper")
-    assert not {"trace_light_visibility", "trace_mirror_visibility"} & set(calls)
+    assert not {"trace_light_visibility", "trace_samples"} & set(calls)
 
 
 def test_other_texels_or_none_are_refused(capture, layout):
@@ -150,9 +150,9 @@ def test_reference_of_unseen_texels_has_entropy_1(capture, layout):
 def test_mirrors_are_read_where_narrow_lobes_are(capture, layout, calls):
     """A known roughness determines which lobes are computed."""
     estimate = svu.estimate(capture, layout, known={"roughness": 0.9})
-    assert calls["trace_mirror_visibility"] == 0
+    assert calls["trace_samples"] == 0
     svu.estimate(estimate, known={"roughness": 0.1})
-    assert calls["trace_mirror_visibility"] == 1
+    assert calls["trace_samples"] == 1
     model = estimate.observed.model
     narrow = model(np.array([0.1]), estimate.preset, 1)
     assert narrow.wide is None and narrow.reads_mirrors
