@@ -22,6 +22,7 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.float_textures import as_stored
 from svu_mi.capture.mesh import crosses_of, unit_vectors
+from svu_mi.capture.normal_map import normal_map, scale_of, texture_of
 from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.sensors import describe
 from svu_mi.core.io.hashes import Key
@@ -47,6 +48,9 @@ def photographs_key(capture: Capture) -> str:
     """
     used = np.flatnonzero(capture.used).tolist()
     key = _shapes(capture.scene, capture.shape, materials=False)
+    if layer := normal_map(capture.shape.bsdf()):
+        key.add(layer.class_name(), scale_of(layer))
+        key.add(*(array for _, array in _arrays(texture_of(layer))))
     key.add([describe(capture.sensors[view]) for view in used])
     key.add(_digests(capture.images[view] for view in used))
     _add_clipped(key, capture, used)

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
+from svu_mi.capture.normal_map import MAPS, normal_map, texture_of
 from svu_mi.capture.photographs import Photograph
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.capture.surroundings import NESTED, reflecting_shapes
@@ -29,7 +30,7 @@ ASSUMED = {
 }  # fmt: skip
 TOLERANCE = 1e-3  # tolerated difference from these values
 WRAPPERS = {  # names of unsupported BSDFs in str(bsdf), and their description
-    "BumpMap[": "a bump map", "NormalMap[": "a normal map", "Mask[": "an opacity",
+    "Mask[": "an opacity",
     "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
 }  # fmt: skip
 UNMODELLED = "which svu does not account for"
@@ -119,13 +120,23 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
     return f"{path.parent}: {len(group)} of {count} photographs ({some}{rest})"
 
 
-def unsupported(scene: Any, target: Any, materials: Sequence[Any] = ()) -> list[str]:
+def unsupported(
+    scene: Any, target: Any, materials: Sequence[Any] = (), *, own_uvs: bool = True
+) -> list[str]:
     """Return warnings about the target's materials, and about light from other shapes.
 
-    ``materials`` are those of the shapes that the target was made of; default: its own.
+    ``materials`` are those of the shapes that the target was made of; default: its own. Without
+    its ``own_uvs``, its normal and bump maps do not fit.
     """
-    notes = []
-    found = [name for bsdf in materials or [target.bsdf()] for name in _of_material(bsdf)]
+    notes, bsdfs = [], materials or [target.bsdf()]
+    found = [name for bsdf in bsdfs for name in _of_material(bsdf)]
+    maps = [layer for bsdf in bsdfs if (layer := normal_map(bsdf))]
+    found += [f"a {MAPS[each.class_name()][:-3]} map" for each in maps if not own_uvs]
+    if any(map(_is_srgb, maps)):
+        notes.append(
+            f"The normal map of shape '{excerpt(target.id())}' is decoded as sRGB, which tilts all "
+            'its normals: add <boolean name="raw" value="true"/> to its texture.'
+        )
     if features := list(dict.fromkeys(found)):
         notes.append(
             f"Shape '{excerpt(target.id())}' has {_listed(features)}, {UNMODELLED}: if the "
@@ -143,6 +154,15 @@ def unsupported(scene: Any, target: Any, materials: Sequence[Any] = ()) -> list[
             "and fixed account for it, but neither other presets, nor svu light, guide and check."
         )
     return notes
+
+
+def _is_srgb(layer: Any) -> bool:
+    """Return whether the bytes of a normal map are decoded as colours."""
+    texture = texture_of(layer)
+    return (
+        layer.class_name() == "NormalMap"
+        and "uint8" in texture.class_name() and "raw = 0" in str(texture)
+    )  # fmt: skip
 
 
 def _of_material(bsdf: Any) -> Iterator[str]:

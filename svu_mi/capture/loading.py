@@ -237,7 +237,8 @@ class CapturePlan:
         notes, used = check_photographs(photographs, self.paths, names, some=self.partial)
         mesh, unwrapping = _texel_mesh(self.target, self.unwrap, self.folder)
         target = self.target
-        material = unsupported(target.scene, target.mesh, target.materials)
+        own = mesh is target.mesh and len(target.materials) == 1
+        material = unsupported(target.scene, target.mesh, target.materials, own_uvs=own)
         notes = [*self.match.notes, *notes, *unwrapping, *material]
         notes += self._geometry_warnings(sensors)
         for sentence in notes:

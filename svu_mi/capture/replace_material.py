@@ -12,6 +12,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, make_mesh
+from svu_mi.capture.normal_map import layers, normal_map, with_normal_map
 from svu_mi.errors import SceneError, excerpt
 from svu_mi.parameters import NAMES, PARAMETERS
 
@@ -27,12 +28,12 @@ def constant_parameters(shape: Any) -> dict[str, float]:
     Constant colours that are not grey are omitted. The result is empty for other BSDFs, and for
     a BSDF without textures, which is assumed to be a placeholder.
     """
-    bsdf = shape.bsdf()
+    bsdf = layers(shape.bsdf())[-1]
     constants: dict[str, float] = {}
     if not is_principled(bsdf):
         return constants
     for key, value in mi.traverse(bsdf):
-        name, _, kind = key.removeprefix("brdf_0.").partition(".")
+        name, _, kind = key.partition(".")
         if name in NAMES and kind == "value":
             values = np.array(value, np.float64).ravel()
             if np.ptp(values) == 0 and PARAMETERS[name].holds(values[0]):
@@ -55,9 +56,12 @@ class RepaintedScene:
 
 def replace_material(capture: Capture, material: Any, mesh: Any = None) -> RepaintedScene:
     """Return a copy of the scene with another material (and mesh)."""
-    shape = make_mesh(capture.shape.id(), arrays(capture.mesh if mesh is None else mesh))
+    surface = capture.mesh if mesh is None else mesh
+    if is_same(surface, capture.shape):  # otherwise its UVs are not those of the map
+        material = with_normal_map(normal_map(capture.shape.bsdf()), material)
     if is_two_sided(capture.shape.bsdf()):
         material = mi.load_dict({"type": "twosided", "material": material})
+    shape = make_mesh(capture.shape.id(), arrays(surface))
     shape.set_bsdf(material)
     # Area lights are part of their shapes.
     lights = [e for e in capture.scene.emitters() if e.get_shape() is None]

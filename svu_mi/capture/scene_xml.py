@@ -18,6 +18,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.mesh import MeshArrays, arrays, write_ply
+from svu_mi.capture.normal_map import MAPS, scale_of, texture_of
 from svu_mi.capture.replace_material import is_two_sided
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import describe
@@ -147,22 +148,44 @@ def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
     return node if source.normals is not None else put(node, face_normals=True)
 
 
-def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = False) -> Element:
+def principled(name: str, textures: Mapping[str, str]) -> Element:
     """Return a textured ``principled`` BSDF; specular is 0.5, as in recovery.
 
     Args:
         name: Id of the object.
         textures: Files of base_color, roughness and metallic, relative to the scene file.
-        two_sided: True wraps the BSDF in ``twosided``.
     """
     node = plugin("bsdf", "principled", id=f"{name}_material", specular=0.5)
     for texture, path in textures.items():
         node.append(bitmap(texture, path, id=f"{name}_{texture}"))
-    if not two_sided:
-        return node
+    return node
+
+
+def on_both_sides(name: str, inner: Element) -> Element:
+    """Return a BSDF within ``twosided``."""
     sides = plugin("bsdf", "twosided", id=f"{name}_sides")
-    sides.append(node)
+    sides.append(inner)
     return sides
+
+
+def mapped(layer: Any, inner: Element, folder: Path, file: str) -> Element:
+    """Return a BSDF within a normal or bump map like ``layer``, whose bitmap is written as EXR."""
+    kind, params = MAPS[layer.class_name()], mi.traverse(texture_of(layer))
+    if "data" not in params or not np.allclose(params["to_uv"].matrix, np.eye(3)):
+        _warn(
+            f"The {kind} of '{layer.id()}' is not a bitmap, or has a to_uv; it cannot be written "
+            "and is missing in the new scene; add it there."
+        )
+        return inner
+    pixels = np.array(params["data"])
+    if pixels.dtype == np.uint8:
+        pixels = pixels.astype(np.float32) / 255
+    write_exr(folder / file, {"Y" if pixels.shape[2] == 1 else "RGB": pixels.astype(np.float32)})
+    node = plugin("bsdf", kind)
+    if kind == "bumpmap":
+        put(node, scale=scale_of(layer))
+    node.extend([bitmap("normalmap", file), inner])
+    return node
 
 
 def environment(emitter: Any, folder: Path, assets: str) -> Element:

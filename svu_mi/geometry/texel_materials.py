@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.normal_map import layers
 from svu_mi.capture.replace_material import is_principled
 from svu_mi.errors import SceneError
 from svu_mi.geometry.texels import Texels
@@ -23,7 +24,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
             f"{label} was unwrapped, so its texels do not match its textures; give the mesh "
             "the UVs of the textures."
         )
-    bsdf = capture.shape.bsdf()
+    bsdf = layers(capture.shape.bsdf())[-1]
     if not is_principled(bsdf):
         raise SceneError(f"{label} has no principled BSDF; its parameters are unknown.")
     si = dr.zeros(mi.SurfaceInteraction3f, texels.count)

@@ -14,9 +14,11 @@ import scipy
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
+from svu_mi.capture.normal_map import normal_map
 from svu_mi.capture.scene import require_variant
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import MeshError, OptionError, ShapeError
+from svu_mi.geometry.mapped_normals import mapped_normals
 from svu_mi.geometry.rasterize_uv import rasterize
 
 OVERLAP_LIMIT = 0.05  # largest fraction of overlapping texels, which are omitted
@@ -35,7 +37,7 @@ class Texels:
         index: (T,) UInt32, flat row-major texel index (row 0 is v = 0).
         face: (T,) UInt32, index of the face under the texel.
         position: (T,) Point3f, world space, strictly inside the face.
-        normal: (T,) Normal3f, unit shading normal.
+        normal: (T,) Normal3f, unit shading normal, tilted by a normal or bump map.
         geometric_normal: (T,) Normal3f, unit face normal, flipped to the shading normal's side.
         uv: (T,) Point2f, centre of the texel.
         footprint: (T,) Float, square root of the texel's area on the surface, in world units.
@@ -209,7 +211,14 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
             "increase the resolution or check the UVs."
         )
     kept = kept[np.argsort(_morton(kept % width, kept // width), kind="stable")]
-    return _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
+    made = _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
+    layer = normal_map(mesh.bsdf())
+    if layer is None:
+        return made
+    normal = mapped_normals(
+        layer, made.normal, made.geometric_normal, made.sides, made.uv, made.resolution, name
+    )
+    return replace(made, normal=normal)
 
 
 def _extent(source: MeshArrays) -> float:

@@ -14,6 +14,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key, mesh_key
 from svu_mi.capture.image_io import decoded, open_image
 from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.normal_map import normal_map
 from svu_mi.capture.replace_material import is_same, is_two_sided
 from svu_mi.capture.surroundings import path_length
 from svu_mi.core.io.exr import read_exr, write_exr
@@ -29,7 +30,7 @@ from svu_mi.recovery.svbrdf_textures import Textures
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"
-MESH = f"{ASSETS}/mesh.ply"
+MESH, NORMALS = f"{ASSETS}/mesh.ply", f"{ASSETS}/normals.exr"
 SETTINGS = {"settings": Field({"used": Field(OBJECT)})}
 KINDS = (".exr", ".png")  # accepted from other programs
 
@@ -85,7 +86,8 @@ def write_scene(
         elif light.get_shape() is None:
             root.append(scene_xml.lamp(light))
     root.append(object_node(
-        target.id(), arrays(capture.mesh), folder, two_sided=is_two_sided(target.bsdf())
+        target.id(), arrays(capture.mesh), folder, two_sided=is_two_sided(target.bsdf()),
+        layer=normal_map(target.bsdf()) if is_same(capture.mesh, target) else None,
     ))  # fmt: skip
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     root.extend(scene_xml.shape(s, folder, f"{ASSETS}/other_{k}") for k, s in enumerate(others))
@@ -96,11 +98,13 @@ def write_scene(
 
 def object_node(
     name: str, mesh: MeshArrays, folder: Path, *, file: str = MESH,
-    textures: Mapping[str, str] = FILES, two_sided: bool = False,
+    textures: Mapping[str, str] = FILES, two_sided: bool = False, layer: Any = None,
 ) -> Any:  # fmt: skip
-    """Write a mesh to ``folder`` and return its scene node with textures."""
-    node = scene_xml.mesh(mesh, folder, file, name)
-    node.append(scene_xml.principled(name, textures, two_sided=two_sided))
+    """Write a mesh to ``folder``; return its node with textures within a normal map ``layer``."""
+    node, bsdf = scene_xml.mesh(mesh, folder, file, name), scene_xml.principled(name, textures)
+    if layer is not None:
+        bsdf = scene_xml.mapped(layer, bsdf, folder, NORMALS)
+    node.append(scene_xml.on_both_sides(name, bsdf) if two_sided else bsdf)
     return node
 
 

@@ -627,15 +627,6 @@ IGNORED = {
     ),
     "specular": ({**PRINCIPLED, "specular": 0.9}, "specular 0.9"),
     "a refractive index": ({**PRINCIPLED, "eta": 1.8}, "eta 1.8"),
-    "a normal map": (
-        {"type": "normalmap", "normalmap": {"type": "checkerboard"}, "inner": PRINCIPLED},
-        "a normal map",
-    ),
-    "a bump map on both sides": (
-        {"type": "twosided", "inner": {
-            "type": "bumpmap", "bump": {"type": "checkerboard"}, "inner": PRINCIPLED}},
-        "a bump map",
-    ),
     "opacity": ({"type": "mask", "opacity": 0.4, "inner": PRINCIPLED}, "an opacity"),
 }  # fmt: skip
 
@@ -651,6 +642,28 @@ def test_unsupported_material_features_cause_a_warning(bsdf, words):
         f"Shape 'ball' has {words}, which svu does not account for: if the photographs show that, "
         "roughness and base colour will be off."
     ]
+
+
+@pytest.mark.parametrize(("kind", "name"), [("normalmap", "normalmap"), ("bumpmap", "heights")])
+def test_normal_map_that_fits_no_texel_causes_a_warning(kind, name):
+    heights = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.zeros((2, 2, 1), np.float32))}
+    shape = shape_of({"type": "twosided", "a": {"type": kind, name: heights, "b": PRINCIPLED}})
+    assert unsupported(make_scene([shape]), shape) == []
+    (sentence,) = unsupported(make_scene([shape]), shape, own_uvs=False)
+    assert sentence.startswith(f"Shape 'ball' has a {kind[:-3]} map, which svu does not account")
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_normal_map_that_is_read_as_colours_causes_a_warning(raw):
+    flat = mi.Bitmap(np.full((2, 2, 3), [128, 128, 255], np.uint8))
+    shape = shape_of({
+        "type": "normalmap", "normalmap": {"type": "bitmap", "bitmap": flat, "raw": raw},
+        "inner": PRINCIPLED,
+    })  # fmt: skip
+    notes = unsupported(make_scene([shape]), shape)
+    assert [
+        note.startswith("The normal map of shape 'ball' is decoded as sRGB") for note in notes
+    ] == [True] * (not raw)
 
 
 @pytest.mark.parametrize("bsdf", [

@@ -45,6 +45,7 @@ from svu_mi.capture.load_warnings import (
 )
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.mesh_scale import wrong_scale
+from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
@@ -263,7 +264,9 @@ def _ignored(capture: Capture) -> tuple[Finding, ...]:
     """Return a note about ignored parts of the scene or import, or an empty tuple."""
     # Materials of joined shapes are known to the loader only.
     loaded = [sentence for sentence in capture.warnings if UNMODELLED in sentence]
-    notes = list(dict.fromkeys([*unsupported(capture.scene, capture.shape), *loaded]))
+    own = is_same(capture.mesh, capture.shape)
+    found = unsupported(capture.scene, capture.shape, own_uvs=own)
+    notes = list(dict.fromkeys([*found, *loaded]))
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None
     notes += [n for n in said if str(n).endswith(LEFT_OUT)] if isinstance(said, list) else []
