@@ -39,6 +39,7 @@ from svu_mi.capture.importers.import_options import ImportOptions, Light
 from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerfstudio_world import find_normalisation, in_world_of_poses
+from svu_mi.capture.importers.normal_pictures import MIRRORED, mirrored_share
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.simplify_mesh import simplify
 from svu_mi.capture.importers.source import Frame, Source
@@ -206,7 +207,14 @@ class ImportPlan:
         if mesh.uvs is None:
             mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
             notes.append(f"{label}: has no UVs; UVs by xatlas are stored in {MESH}.")
-        return replace(geometry, mesh=mesh, notes=[*geometry.notes, *notes]), scale
+        normals = geometry.normals
+        if normals is not None and (share := mirrored_share(mesh)) > MIRRORED:
+            normals = None
+            notes.append(
+                f"{label}: its normal map is ignored, because {share:.1%} of its UVs are mirrored."
+            )
+        notes = [*geometry.notes, *notes]
+        return replace(geometry, mesh=mesh, normals=normals, notes=notes), scale
 
     def _in_world_of_poses(
         self, mesh: MeshArrays, sensors: Sequence[Any]
@@ -362,7 +370,8 @@ def _write_scene(
     ``others`` are the table and the sensors.
     """
     capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
-    write_pictures(geometry.textures, folder)
+    normals = {} if geometry.normals is None else {"normals": geometry.normals}
+    write_pictures({**geometry.textures, **normals}, folder)
     root = scene_xml.scene()
     root.append(scene_xml.plugin("integrator", "path", max_depth=MAX_DEPTH))
     notes: list[str] = []
@@ -376,6 +385,10 @@ def _write_scene(
     for name in geometry.textures:
         raw = name != "base_color"  # which is sRGB
         material.append(scene_xml.bitmap(name, f"{name}.png", raw=raw, id=name))
+    if normals:
+        tilted = scene_xml.plugin("bsdf", "normalmap")
+        tilted.extend([scene_xml.bitmap("normalmap", "normals.png"), material])
+        material = tilted
     shape.append(material)
     root.append(shape)
     root.extend(others)

@@ -20,6 +20,7 @@ from svu_mi.capture.importers.gltf_extensions import readable
 from svu_mi.capture.importers.mesh_materials import (
     FREE,
     GLTF,
+    NORMALS,
     Textures,
     check_gltf,
     header_of,
@@ -32,6 +33,7 @@ from svu_mi.capture.importers.mesh_materials import (
     unread_textures,
     with_header,
 )
+from svu_mi.capture.importers.normal_pictures import normal_picture
 from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
 from svu_mi.capture.importers.source_files import LARGEST_TEXT, find_file, substitutions
@@ -62,11 +64,13 @@ class TexturedMesh:
     Attributes:
         mesh: vertex and face buffers; V = 0 is the first row of the textures.
         textures: pictures by parameter of ``principled``; empty without textures.
+        normals: normal map (H, W, 3) of bytes; None without a usable one.
         notes: sentences about decisions of the reader.
     """
 
     mesh: MeshArrays
     textures: Textures = field(default_factory=dict)
+    normals: np.ndarray | None = None
     notes: Sequence[str] = ()
 
 
@@ -92,6 +96,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
     if geometry_only:
         mesh = replace(mesh, uvs=None)
     textures: Textures = {}
+    normals = None
     if mesh.uvs is not None:
         textures = {} if several else textures_of(parts[0].visual, path)
         uvs = mesh.uvs
@@ -112,6 +117,8 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         if path.suffix.lower() in GLTF:
             with _parser_errors(path):
                 names = ignored_in_gltf(path)
+                normals = normal_picture(path, parts[0].visual) if textures else None
+                names = [n for n in names if n != NORMALS or normals is None]
                 visuals = [part.visual for part in parts]
                 unread = [] if files.missing else unread_textures(path, visuals)
             notes += [f"{path}: its {name} could not be read; it is white." for name in unread]
@@ -119,7 +126,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         notes += [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
         notes.append(f"{path}: its textures are ignored, and new UVs are computed.")
-    return TexturedMesh(mesh=mesh, textures=textures, notes=notes)
+    return TexturedMesh(mesh=mesh, textures=textures, normals=normals, notes=notes)
 
 
 def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:

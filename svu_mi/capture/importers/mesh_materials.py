@@ -43,9 +43,10 @@ IDENTITY = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # without effect
 FLOAT = 5126
 FREE = 2**20  # numbers in any file; larger counts must fit the file size
 ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
-# Parts of glTF materials that are ignored.
+NORMALS = "a normal map"
+# Parts of glTF materials that are ignored; of normal maps, those that do not fit.
 IGNORED_GLTF = {
-    "normalTexture": "a normal map", "occlusionTexture": "an occlusion map",
+    "normalTexture": NORMALS, "occlusionTexture": "an occlusion map",
     "emissiveTexture": "emission", "alphaMode": "transparency",
 }  # fmt: skip
 DEEPEST = 500  # nested nodes, as in scenes; trimesh's time grows with the square
@@ -116,7 +117,7 @@ def png_of(path: Path) -> bytes:
 
 
 def write_pictures(textures: Textures, folder: Path) -> None:
-    """Write existing textures: ``base_color.png``, ``roughness.png``, ``metallic.png``."""
+    """Write pictures by name: ``base_color.png``, ``roughness.png``, ``metallic.png``."""
     for name, pixels in textures.items():
         with replacing(folder / f"{name}.png") as temporary:
             Image.fromarray(np.ascontiguousarray(pixels)).save(temporary)

@@ -352,6 +352,10 @@ def with_normal_map(record: dict[str, Any], _: Any) -> None:
     record["materials"][0]["normalTexture"] = {"index": 0}
 
 
+def with_occlusion(record: dict[str, Any], _: Any) -> None:
+    record["materials"][0]["occlusionTexture"] = {"index": 0}
+
+
 def both_sides(record: dict[str, Any], _: Any) -> None:
     record["materials"][0]["doubleSided"] = True
 
@@ -387,7 +391,8 @@ FIELDS = {  # by words of the row of the table
     "lines and points": lambda d: glb(d / "a.glb", lines),
     "animations": lambda d: glb(d / "a.glb", animated),
     "`COLOR_0`": lambda d: glb(d / "a.glb", colored),
-    "normal, occlusion": lambda d: glb(d / "a.glb", with_normal_map),
+    "normal texture": lambda d: glb(d / "a.glb", with_normal_map),
+    "occlusion": lambda d: glb(d / "a.glb", with_occlusion),
     "pictures that": lambda d: glb(d / "a.glb", optional_basis),
     "`doubleSided`": lambda d: glb(d / "a.glb", both_sides),
     "lines (`l`)": lambda d: changed_obj(d, "usemtl m", "l 1 2\np 1\ng part\ns off\nusemtl m"),

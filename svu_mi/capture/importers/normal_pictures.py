@@ -1,0 +1,40 @@
+"""Normal maps of glTF: read only where their tangents are those of Mitsuba's ``normalmap``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.importers.mesh_materials import MAX_PIXELS, header_of
+from svu_mi.capture.mesh import MeshArrays
+
+MIRRORED = 0.001  # share of the UV area
+
+
+def normal_picture(path: Path, visual: Any) -> np.ndarray | None:
+    """Return the normal map of a glTF's only material, (H, W, 3) bytes; None without a usable one.
+
+    It must use the UVs of the base colour, without scale or extensions.
+    """
+    picture = getattr(getattr(visual, "material", None), "normalTexture", None)
+    with_maps = [m for m in header_of(path).get("materials", ()) if "normalTexture" in m]
+    if picture is None or len(with_maps) != 1 or picture.width * picture.height > MAX_PIXELS:
+        return None
+    entry = with_maps[0]["normalTexture"]
+    base = with_maps[0].get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+    if entry.get("texCoord", 0) != base.get("texCoord", 0) or entry.get("scale", 1) != 1:
+        return None
+    if "extensions" in entry or "extensions" in base:
+        return None
+    return np.array(picture.convert("RGB"))
+
+
+def mirrored_share(mesh: MeshArrays) -> float:
+    """Return the share of UV area that shows a mirrored picture; V = 0 is its first row."""
+    assert mesh.uvs is not None
+    a, b, c = (mesh.uvs[mesh.faces[:, k]] for k in range(3))
+    (u, v), (s, t) = (b - a).T, (c - a).T
+    area = u * t - v * s
+    return float(np.maximum(area, 0).sum() / max(np.abs(area).sum(), 1e-300))
