@@ -867,7 +867,7 @@ class TestNextBestView:
             scenes.path("vase"), 8, views=views, resolution=(192, 192),
             defines={"light": "overcast"},
         )  # fmt: skip
-        estimate = svu.estimate(capture, svu.texels(capture.mesh, 96))
+        estimate = svu.estimate(capture, svu.texels(capture.mesh, 64))
         around = svu.Candidates.around(capture, 40)
         known = inputs_of(estimate, around, lazy=False).greedy
         gains, order = [], []
