@@ -30,7 +30,7 @@ from svu_mi.light.environment import read_environment
 from svu_mi.light.latlong import grid_size, radiance_from
 from svu_mi.output.relight_page import view_file_names
 
-SECONDS = 8  # a refusal, on a busy machine
+SECONDS = 8  # of the processor; a refusal takes far less
 VASE = scenes.path("vase")
 ABSURD = [
     (("render", VASE, "--views", 10**9), r"--views: at most 10000 are supported, got 10+; use"),
@@ -62,10 +62,10 @@ def free(monkeypatch, size: int) -> None:
 def test_absurd_options_are_refused_at_once(words, says, shot, tmp_path, capsys):
     words = [shot if word == "SHOT" else word for word in words]
     where = () if words[0] == "view" else ("-o", tmp_path / "out")
-    begin = time.perf_counter()
+    begin = time.process_time()
     line = fails(capsys, *words, *where)
     assert re.search(says, line), line
-    assert time.perf_counter() - begin < SECONDS
+    assert time.process_time() - begin < SECONDS
     assert not (tmp_path / "out" / "view_0000.exr").exists()
 
 
@@ -77,10 +77,10 @@ def test_texels_are_compared_with_the_memory(monkeypatch, shot, tmp_path, capsys
 
 def test_a_scene_with_80000_sensors_is_refused_unread(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(1) * 80_000)
-    begin = time.perf_counter()
+    begin = time.process_time()
     line = fails(capsys, "entropy", path, "-o", tmp_path / "out")
     assert "sensors: at most 10000 are supported, got 80000" in line
-    assert time.perf_counter() - begin < SECONDS
+    assert time.process_time() - begin < SECONDS
 
 
 def test_sensors_are_counted_wherever_they_are_and_nowhere_else(tmp_path):
@@ -151,10 +151,10 @@ def test_maps_of_odd_sizes_are_quick(size):
     emitter = map_of(*size)
     columns, rows = grid_size(emitter)
     assert columns * rows < 2**22
-    begin = time.perf_counter()
+    begin = time.process_time()
     light = read_environment(emitter)
     mean = light.coefficients(16)[0] / np.sqrt(4 * np.pi)
-    assert time.perf_counter() - begin < SECONDS
+    assert time.process_time() - begin < SECONDS
     directions = unit_vectors(np.random.default_rng(1), 400_000)
     np.testing.assert_allclose(mean, radiance_from(emitter, directions).mean(axis=0), rtol=0.01)
 
