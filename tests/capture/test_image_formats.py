@@ -359,6 +359,7 @@ def test_channels_may_have_curves_of_their_own_and_grey_one(tmp_path):
 @pytest.mark.parametrize("damage", [
     {"rTRC": curv(3, 2, 1)}, {"gTRC": b"para\0\0\0\0\0\x09\0\0"}, {"bXYZ": bytes(20)},
     {"rTRC": para(0, -1.0)}, {"rTRC": b"curv\0\0\0\0\xff\xff\xff\xff"},
+    {f"t{number:03}": b"any" for number in range(200)},
 ])  # fmt: skip
 def test_damaged_profiles_are_reported(damage, tmp_path):
     profile = icc(P3, SRGB_PARA, **damage)

@@ -11,7 +11,7 @@ from support import fuzz_formats
 
 from svu_mi.capture import capture_folder
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.sensors import make_sensor
+from svu_mi.capture.sensors import check_record, make_sensor
 from svu_mi.core.validation import MAX_VIEWS, require_views
 from svu_mi.errors import CaptureError, OptionError, SceneError
 
@@ -57,7 +57,7 @@ BAD = {
     "clip": {SENSOR + "clip": [1, 2, 3]}, "clip turned": {SENSOR + "clip": [2, 1]},
     "clip negative": {SENSOR + "clip": [-1, 1]}, "film": {SENSOR + "film": [16.5, 8]},
     "film of nothing": {SENSOR + "film": [0, 8]}, "film of text": {SENSOR + "film": "ab"},
-    "film, large": {SENSOR + "film": [65536, 65536], SENSOR + "crop_size": [65536, 65536]},
+    "film, large": {SENSOR + "film": [32769, 32768], SENSOR + "crop_size": [32769, 32768]},
     "film, long": {SENSOR + "film": [2**31, 1], SENSOR + "crop_size": [2**31, 1]},
     "crop_size": {SENSOR + "crop_size": [17, 8]}, "crop_offset": {SENSOR + "crop_offset": [-1, 0]},
     "principal_point_offset": {SENSOR + "principal_point_offset": None},
@@ -142,3 +142,4 @@ def test_arrays_and_their_numbers_are_welcome_in_a_description():
         "film": np.array([16, 8]), "crop_offset": (0, np.int64(0)), "crop_size": (16, 8),
     }  # fmt: skip
     assert make_sensor(record, "any").film().size()[0] == 16
+    check_record({**record, "film": (32768, 32768)}, "any")  # the largest

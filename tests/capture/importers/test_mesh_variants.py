@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from svu_mi.capture.importers import mesh_files, mesh_materials
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.errors import MeshError
 
@@ -289,6 +290,20 @@ def test_files_of_a_mesh_that_are_too_large_are_refused_unread(tmp_path, name, l
     sentence = f"mesh.obj: {name} is larger than {limit} MiB; export a smaller one"
     with pytest.raises(MeshError, match=sentence):
         read_textured_mesh(path)
+
+
+def test_limits_of_a_mesh_and_its_pictures(tmp_path, monkeypatch):
+    path = obj(tmp_path, "map_Kd base.png")
+    for module, name, most, sentence in (
+        (mesh_materials, "MAX_PIXELS", 4 * 5, "a texture of 5 x 4 pixels is too large"),
+        (mesh_files, "MAX_BYTES", path.stat().st_size, "mesh.obj: larger than 0 MiB; simplify"),
+    ):
+        monkeypatch.setattr(module, name, most)
+        assert read_textured_mesh(path).textures
+        monkeypatch.setattr(module, name, most - 1)
+        with pytest.raises(MeshError, match=sentence):
+            read_textured_mesh(path)
+        monkeypatch.undo()
 
 
 def test_a_material_with_too_many_textures_is_refused(tmp_path):

@@ -143,6 +143,7 @@ def test_scale_of_a_pose_is_removed(scale):
 
 POSES = {
     "too large": (np.diag([2e30, 2e30, 2e30, 1]), "not a finite 4 x 4 matrix"),
+    "far": (np.eye(4) + 2e9 * np.eye(4, k=3), "2e[+]09 units away from the origin, farther than"),
     "NaN": (np.full((4, 4), np.nan), "not a finite 4 x 4 matrix"),
     "three rows": (np.eye(4)[:3], "not a finite 4 x 4 matrix"),
     "transposed": (np.eye(4) + np.eye(4, k=-3), "the last row of the pose must be 0 0 0 1"),
