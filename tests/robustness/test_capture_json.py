@@ -142,4 +142,5 @@ def test_arrays_and_their_numbers_are_welcome_in_a_description():
         "film": np.array([16, 8]), "crop_offset": (0, np.int64(0)), "crop_size": (16, 8),
     }  # fmt: skip
     assert make_sensor(record, "any").film().size()[0] == 16
-    check_record({**record, "film": (32768, 32768)}, "any")  # the largest
+    largest = (32768, 32768)
+    check_record({**record, "film": largest, "crop_size": largest}, "any")
