@@ -125,8 +125,8 @@ def unsupported(
 ) -> list[str]:
     """Return warnings about the target's materials, and about light from other shapes.
 
-    ``materials`` are those of the shapes that the target was made of; default: its own. Without
-    its ``own_uvs``, its normal and bump maps do not fit.
+    ``materials`` belong to the shapes that were joined; default: the target's own. Without its
+    ``own_uvs``, its normal and bump maps do not fit.
     """
     notes, bsdfs = [], materials or [target.bsdf()]
     found = [name for bsdf in bsdfs for name in _of_material(bsdf)]

@@ -301,7 +301,7 @@ def plan_photographs(
 
 
 def _any(values: Iterable[Value | None]) -> tuple[Value | None, ...]:
-    """Return the values as a tuple; an empty one if every value is None."""
+    """Return the values as a tuple; empty without any value."""
     known = tuple(values)
     return known if any(each is not None for each in known) else ()
 

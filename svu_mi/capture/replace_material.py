@@ -57,7 +57,7 @@ class RepaintedScene:
 def replace_material(capture: Capture, material: Any, mesh: Any = None) -> RepaintedScene:
     """Return a copy of the scene with another material (and mesh)."""
     surface = capture.mesh if mesh is None else mesh
-    if is_same(surface, capture.shape):  # otherwise its UVs are not those of the map
+    if is_same(surface, capture.shape):  # otherwise the map does not fit its UVs
         material = with_normal_map(normal_map(capture.shape.bsdf()), material)
     if is_two_sided(capture.shape.bsdf()):
         material = mi.load_dict({"type": "twosided", "material": material})

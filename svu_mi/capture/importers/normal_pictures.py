@@ -1,4 +1,4 @@
-"""Normal maps of glTF: read only where their tangents are those of Mitsuba's ``normalmap``."""
+"""Normal maps of glTF, if Mitsuba's ``normalmap`` has the same tangents."""
 
 from __future__ import annotations
 
