@@ -281,6 +281,17 @@ def test_a_world_with_z_up_is_turned_in_the_glb(asset, tmp_path):
     assert np.array(camera.world_transform().matrix).reshape(4, 4)[2, 1] > 0.9  # its top is +Z
 
 
+def test_normal_map_that_is_lost_is_reported(result, tmp_path):
+    folder = shutil.copytree(result.folder, tmp_path / "result")
+    path = folder / "recovered.xml"
+    tree = ElementTree.parse(path)
+    (shape,) = tree.findall("shape")
+    ElementTree.SubElement(shape.find("bsdf"), "texture", name="normalmap", type="bitmap")
+    tree.write(path)
+    with pytest.warns(svu.SvuWarning, match="recovered.xml: the object's normal or bump map is no"):
+        svu.load_asset(folder)
+
+
 def test_up_follows_the_cameras_of_the_recovery(result, tmp_path):
     assert svu.load_asset(result.folder).up == "y"
     folder = shutil.copytree(result.folder, tmp_path / "result")

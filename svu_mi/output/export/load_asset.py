@@ -87,6 +87,9 @@ class AssetPlan:
             ) from error
         shape = _object_node(scene, file)
         smooth = shape.find("boolean[@name='face_normals']") is None
+        if shape.find(".//texture[@name='normalmap']") is not None:
+            sentence = f"{file}: the object's normal or bump map is not exported; add it there."
+            warnings.warn(sentence, SvuWarning, stacklevel=3)
         textured = folder / FILES["base_color"]
         return Asset(
             name=shape.get("id") or "object",
