@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +15,9 @@ from support.helpers import as_values
 
 import svu_mi as svu
 from svu_mi.core.arrays import to_drjit
+from svu_mi.core.io.array_cache import ArrayCache
+from svu_mi.core.io.npz import write_arrays
+from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import recover
@@ -353,3 +357,23 @@ def test_an_estimate_of_other_texels_is_refused(
     other = svu.estimate(vase.capture, svu.texels(vase.capture.mesh, (32, 24)))
     with pytest.raises(ShapeError, match=r"\(64, 48\) texels, but \(32, 24\)"):
         texture_field(recovered.recovery, other)
+
+
+def test_a_field_is_read_for_the_same_textures_only(recovered, tmp_path) -> None:
+    """A later command reads the same bits; other textures and forged files are computed."""
+    kept = ArrayCache(tmp_path, progress=(progress := Progress()))
+    # A new object each time, as fields remember what they have computed.
+    plain, first, second = (replace(recovered.field, cache=c) for c in (ArrayCache(), kept, kept))
+    for field in (first, second):
+        np.testing.assert_array_equal(field.sds, plain.sds)
+    reading = f"Reading field from {tmp_path}"
+    assert reading in progress.timings and len(list(tmp_path.iterdir())) == 1
+    changed = first.to_textures(np.clip(first.values + 0.2, 0, 1))
+    for other in ({"textures": changed}, {"own_mean": 1 - first.own_mean}):
+        a, b = (replace(recovered.field, cache=c, **other) for c in (ArrayCache(), kept))
+        np.testing.assert_array_equal(b.sds, a.sds)
+        assert (a.sds != plain.sds).any()
+    assert len(list(tmp_path.iterdir())) == 3
+    for file in tmp_path.iterdir():
+        write_arrays(file, {"sd": np.full(plain.sds.shape, -1.0)})
+    np.testing.assert_array_equal(replace(first, cache=kept).sds, plain.sds)

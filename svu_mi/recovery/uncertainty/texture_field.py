@@ -28,6 +28,8 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
+from svu_mi.core.io.array_cache import ArrayCache
+from svu_mi.core.io.schema import Field, checked
 from svu_mi.core.memory import TILE
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
@@ -82,6 +84,7 @@ class TextureField:
         smoother: D + K.
         min_width: Lower limits (N, T) of standard deviations before clipping, used for filled
             texels; or None.
+        cache: Results of earlier commands.
 
     Example:
         >>> field = svu.texture_field(recovery, mesh=capture.mesh)
@@ -102,6 +105,7 @@ class TextureField:
     scale: np.ndarray
     smoother: Smoother
     min_width: np.ndarray | None = None
+    cache: ArrayCache = ArrayCache()
 
     def mean(self, name: str) -> np.ndarray:
         """Return means, (T, C) or (T,); clipping shifts them near 0 and 1."""
@@ -171,6 +175,20 @@ class TextureField:
     @cached_property
     def _coherent_sd(self) -> np.ndarray:
         """Correlated standard deviation c, (N, T)."""
+        schema = {"sd": Field("f8", self.deviation.shape, 0, np.inf)}
+        return self.cache.recall(
+            "field", self._inputs() if self.cache.folder else [], self._solved,
+            lambda sd: {"sd": sd}, lambda arrays: checked(arrays, schema, closed=True)["sd"],
+        )  # fmt: skip
+
+    def _inputs(self) -> list[Any]:
+        """Return everything that the correlated standard deviation depends on."""
+        texels, matrix = self.texels, self.smoother
+        links = (matrix.strength, matrix.epsilon, matrix.own, matrix.start, matrix.diagonal)
+        arrays = [np.array(each) for each in (texels.index, *links, *matrix.around)]
+        return [*texels.resolution, *arrays, self.deviation, self.values, self.own_mean]
+
+    def _solved(self) -> np.ndarray:
         left = self._nested.solve(1 / self.deviation)
         # Values spread over a few texels only (d is large), so coarser levels are not needed.
         links = np.median(self.smoother.links, axis=1, keepdims=True)
@@ -319,6 +337,7 @@ def field_around(
         deviation=deviation, common=_common(posterior), smoother=smoother,
         roots=cache(partial(correlation_roots, posterior, values)),
         scale=np.asarray(posterior.kernel.common),
+        cache=ArrayCache() if estimate.observed is None else estimate.observed.cache,
     )  # fmt: skip
 
 
