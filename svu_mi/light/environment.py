@@ -22,6 +22,7 @@ from svu_mi.light import latlong
 from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance_from
 
 GREY = 1e-6  # largest difference of grey channels, relative to the brightest
+POLE = 1e-12  # squared sine of theta below which phi is arbitrary
 BAND = 2**18  # values of a map that are transformed at once
 NO_DISK = np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on the sun's disk; finer than the sky grid
@@ -91,10 +92,14 @@ def no_environment() -> Environment:
 
 
 def lat_long(local: Any) -> tuple[Any, Any]:
-    """Return phi / 2 pi in [0, 1) and theta / pi of local directions."""
+    """Return phi / 2 pi in [0, 1) and theta / pi of local directions; derivatives are finite."""
     if dr.is_array_v(local):
-        u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
-        return u - dr.floor(dr.detach(u)), dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
+        # At a pole, phi has no derivative; that of acos(y) is infinite from 3e-4 around it on.
+        square = dr.fma(local.x, local.x, local.z * local.z)
+        pole = square < POLE
+        u = dr.atan2(local.x, dr.select(pole, 1, -local.z)) * dr.inv_two_pi
+        sine = dr.sqrt(dr.select(pole, POLE, square))
+        return u - dr.floor(dr.detach(u)), dr.atan2(sine, local.y) * dr.inv_pi
     x, y, z = np.moveaxis(local, -1, 0)
     return np.arctan2(x, -z) / (2 * np.pi) % 1, np.arccos(np.clip(y, -1, 1)) / np.pi
 

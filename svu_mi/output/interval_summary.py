@@ -17,8 +17,8 @@ TOLERANCE = 0.05  # largest half-width of an interval that counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
 ROUNDING = 1e-6  # rounding of interval ends in single precision
 ESTIMATED_LIGHT = (
-    "the light was estimated from the photographs, and then fewer than 90 % of the 90 % intervals "
-    "contain the truth"
+    "the light was estimated from the photographs, and then, often, fewer than 90 % of the 90 % "
+    "intervals of a parameter contain the truth"
 )
 
 

@@ -158,7 +158,7 @@ def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceM
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
         sentence=f"Half-width of the {100 * intervals.mass:g} % interval{widest}. "
-        + ("It is too small, as the light was estimated." if is_found else counted),
+        + ("It may be too small, as the light was estimated." if is_found else counted),
     )  # fmt: skip
 
 

@@ -120,10 +120,11 @@ class TexelSamples:
             )
         enough = np.flatnonzero(observed.coverage >= FEWEST_FOR_LIGHT)
         if not len(enough):
+            few = views.number < FEWEST_FOR_LIGHT
+            remedy = "take more photographs" if few else "run svu check"
             raise CaptureError(
-                f"No texel is seen in {FEWEST_FOR_LIGHT} photographs, which estimates of light "
-                "and gains need; check scale and axes of the mesh with svu check, take more "
-                "photographs, or give the light and the gains."
+                f"No texel is seen in {FEWEST_FOR_LIGHT} of {views.number} photographs, as many as "
+                f"estimates of light and gains need; {remedy}, or give the light and the gains."
             )
         # Texels are ordered by position: equal steps cover the surface evenly.
         count = min(count, len(enough))
