@@ -156,6 +156,15 @@ def unsupported(
     return notes
 
 
+def _is_opaque(mask: Any) -> bool:
+    """Return whether the opacity of a ``mask``, such as an alpha channel, is 1 everywhere."""
+    inputs = [v for k, v in mi.traverse(mask) if k in ("opacity.data", "opacity.value")]
+    arrays_of = [np.array(value) for value in inputs]
+    return bool(arrays_of) and all(
+        (a >= (255 if a.dtype == np.uint8 else 1)).all() for a in arrays_of
+    )
+
+
 def _is_srgb(layer: Any) -> bool:
     """Return whether the bytes of a normal map are decoded as colours."""
     texture = texture_of(layer)
@@ -171,7 +180,7 @@ def _of_material(bsdf: Any) -> Iterator[str]:
         return
     printed = str(bsdf)
     for kind, name in WRAPPERS.items():
-        if kind in printed:
+        if kind in printed and not (kind == "Mask[" and _is_opaque(bsdf)):
             yield name
     for key, value in mi.traverse(bsdf) if "Principled BSDF" in printed else ():
         name, _, kind = NESTED.sub("", key).partition(".")

@@ -666,6 +666,14 @@ def test_normal_map_that_is_read_as_colours_causes_a_warning(raw):
     ] == [True] * (not raw)
 
 
+@pytest.mark.parametrize("top", [1.0, 0.9])
+def test_mask_of_a_bitmap_without_holes_causes_no_warning(top):
+    alpha = mi.Bitmap(np.array([[[1.0], [1.0]], [[1.0], [top]]], np.float32))
+    opacity = {"type": "bitmap", "raw": True, "bitmap": alpha}
+    shape = shape_of({"type": "mask", "opacity": opacity, "inner": PRINCIPLED})
+    assert len(unsupported(make_scene([shape]), shape)) == (top < 1)
+
+
 @pytest.mark.parametrize("bsdf", [
     PRINCIPLED, {"type": "twosided", "inner": PRINCIPLED}, {"type": "diffuse"},
     {"type": "principled", "eta": 1.5, "base_color": {"type": "checkerboard"}, "metallic": 1.0},
