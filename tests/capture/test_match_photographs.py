@@ -58,6 +58,13 @@ def test_missing_photographs_of_an_import_are_counted(nerf, capsys):
     assert svu.load_capture(nerf.parent / "capture").count == 2
 
 
+def test_four_photographs_of_unknown_light_are_enough_to_estimate_it(nerf, capsys):
+    out = nerf.parent / "capture"
+    assert run("import", nerf, "--mesh", nerf / "ball.ply", "-o", out) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == f"Then estimate its light with: svu light {out}"
+
+
 def test_without_any_photograph_nothing_is_imported(nerf, capsys):
     for file in (nerf / "shots").iterdir():
         file.unlink()
