@@ -23,6 +23,7 @@ from svu_mi.output.panels import draw_marginal
 from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
 from svu_mi.posterior.estimate import Estimate
+from svu_mi.posterior.intervals import LEVEL
 from svu_mi.recovery.svbrdf_textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches
@@ -59,11 +60,8 @@ class Pick:
 class Picker:
     """Finds texels by rays; only the object can be hit, no other shape."""
 
-    def __init__(
-        self, capture: Capture, estimate: Estimate, intervals: Intervals | None = None
-    ) -> None:
+    def __init__(self, capture: Capture, estimate: Estimate) -> None:
         self._capture, self._estimate = capture, estimate
-        self._intervals = intervals or Intervals(estimate.posterior)
         self._nearest = nearest_texel(estimate.texels)
         self._scene = object_only_scene(capture)
 
@@ -99,16 +97,17 @@ class Picker:
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
             seen_by=seen_by, summaries=self._summaries(texel) if seen_by else {},
-            mass=self._intervals.mass,
+            mass=LEVEL,
         )  # fmt: skip
 
     def _summaries(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
         posterior, summaries = self._estimate.posterior, {}
+        own = Intervals(posterior, chosen=np.array([texel]))  # of all texels, they take seconds
         best = posterior.map([texel])
         for name in posterior.axes:
-            low, high = self._intervals.ends(name)
+            low, high = own.ends(name)
             values = np.array(best[name])[0], np.array(posterior.mean(name))[texel]
-            summaries[name] = (*map(np.atleast_1d, values), low[texel], high[texel])
+            summaries[name] = (*map(np.atleast_1d, values), low[0], high[0])
         return summaries
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:

@@ -80,7 +80,7 @@ class Viewer:
         intervals = Intervals(estimate.posterior)
         field = None if recovered is None else field_of_textures(recovered, estimate, capture.mesh)
         self._maps = surface_maps(estimate, recovered, intervals, field)
-        self._picker = Picker(capture, estimate, intervals)
+        self._picker = Picker(capture, estimate)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._shown: dict[str, Any] = {}
         self._center, self._radius = bounding_sphere(capture.mesh)
