@@ -467,6 +467,14 @@ def test_a_batch_makes_its_folder_goes_on_and_counts(shelf_of, tmp_path, capsys,
         assert [line[:3] for line in lines if line[:3] in ("a: ", "b: ")] == ["b: "] * bool(status)
 
 
+@pytest.mark.parametrize("given", [(), ("--trust",)])
+def test_commands_are_trusted_if_the_batch_is(shelf_of, tmp_path, monkeypatch, given):
+    commands = Made()
+    monkeypatch.setattr("svu_mi.cli.batch.runner.CommandPool", lambda _: commands)
+    assert run("batch", shelf_of("a"), *given, "-o", tmp_path / "out") == 0
+    assert {"--trust" in line for line in commands.lines} == {bool(given)}
+
+
 def test_second_worker_waits_and_reuses_results(shelf_of, tmp_path):
     """A second run, for example after a killed one, waits for the lock."""
     item, shelf = (
