@@ -51,8 +51,9 @@ def match_photographs(
     ``any_name=False`` ignores them, because they may be textures.
     """
     if not folder.is_dir():
+        lack = "is a file" if folder.exists() else "no such folder"
         raise CaptureError(
-            f"{folder}: no such folder; give the folder of view_0000.exr, ... with --images."
+            f"{folder}: {lack}; give the folder of view_0000.exr, ... with --images."
         )
     pictures = _image_files(folder)
     numbers = [f"{VIEW}{index:04d}" for index in range(len(ids))]
@@ -120,10 +121,11 @@ def _by_name(
 ) -> Match:
     """Assign images to the sensors with the same name."""
     by_name = _by_stem(folder, pictures)
+    kind = next(iter(by_name.values())).suffix if by_name else ".exr"
     if absent := [name for name in expected if name not in by_name]:
         lack = (
             f"{folder}: {len(absent)} of {len(expected)} photographs {are(len(absent))} missing, "
-            f"first {absent[0]}.exr"
+            f"first {absent[0]}{kind}"
         )
         if len(absent) == len(expected):
             error = NoPhotographsError(f"{lack}; {_remedy(folder)}.")

@@ -12,6 +12,7 @@ import trimesh
 from support.helpers import run, sensor_xml, write_scene
 
 import svu_mi as svu
+from svu_mi.capture.match_photographs import match_photographs
 from svu_mi.capture.scene import find_environment, load_scene
 from svu_mi.core.io.exr import write_exr
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError, SvuError
@@ -43,6 +44,15 @@ def words(nerf: Path, *more: object) -> list[object]:
     light = [] if "--environment" in more else ["--environment", nerf / "probe.exr"]
     out = nerf.parent / "capture"
     return ["import", nerf, "--mesh", nerf / "ball.ply", *light, *more, "-o", out]
+
+
+def test_a_missing_photograph_has_the_suffix_of_the_others(tmp_path):
+    for name in ("a", "c"):
+        (tmp_path / f"{name}.png").touch()
+    with pytest.raises(CaptureError, match=r"1 of 3 photographs is missing, first b\.png; add"):
+        match_photographs(tmp_path, ["a", "b", "c"])
+    with pytest.raises(CaptureError, match=r"a\.png: is a file; give the folder"):
+        match_photographs(tmp_path / "a.png", ["a"])
 
 
 def test_missing_photographs_of_an_import_are_counted(nerf, capsys):

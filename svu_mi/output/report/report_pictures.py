@@ -74,9 +74,11 @@ def thumbnails(
         saturation = capture.clipped[view] if capture.clipped else None
         saturated = 0 if saturation is None else int((saturation.channels > 0).sum())
         kinds = {"saturated": saturated, "unusable": capture.unusable[view] - saturated}
-        facts += [f"{grouped(n)} {kind} pixels" for kind, n in kinds.items() if n > 0]
+        facts += [
+            f"{grouped(n)} {kind} pixel{'s' * (n != 1)}" for kind, n in kinds.items() if n > 0
+        ]
         if capture.exposures[view] != 1:
-            facts.append(f"exposure × {capture.exposures[view]:.3g}")
+            facts.append(f"exposure × {capture.exposures[view]:#.3g}")
         return ", ".join(facts)
 
     return [thumbnail(view, notes(view), view in first) for view in chosen], [
