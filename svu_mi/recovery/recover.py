@@ -98,7 +98,7 @@ def recover(
     options, progress = method_options(method, preset, sh, path, tv), progress or Progress()
     require_resolution(capture_and_texels(source, texels)[1], start)
     observed = observations_of(source, texels, progress)
-    with progress.stage("Reading the light"):
+    with progress.stage("Checking the light"):
         _ = observed.distant_light  # raises an error for a black environment map before any work
     given = source if isinstance(source, Estimate) else None
     run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)

@@ -295,7 +295,11 @@ def _causes(names: Sequence[str]) -> str:
 
 
 def _as_well(alternatives: Sequence[Sequence[str]]) -> str:
-    return f"; {_choices(alternatives)} would fit as well" if alternatives else ""
+    return (
+        f"; {_choices(alternatives)} would fit as well, as for a symmetric object"
+        if alternatives
+        else ""
+    )
 
 
 def _choices(alternatives: Sequence[Sequence[str]]) -> str:
