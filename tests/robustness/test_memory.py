@@ -294,9 +294,8 @@ def test_each_command_names_a_remedy(monkeypatch):
     ("command", "resolution"),
     [
         *((command, 256) for command in COMMANDS if command != "light"),
-        ("entropy", 640),
-        ("recover", 640),
-    ],  # in tiles
+        ("entropy", 640),  # in tiles
+    ],  # ``support.announced`` has three sizes of each
 )
 def test_no_command_takes_more_than_it_has_announced(command, resolution, shot, tmp_path):
     announced, peak = announced_and_taken(*words(command, shot, tmp_path, resolution))
