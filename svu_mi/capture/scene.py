@@ -209,6 +209,11 @@ def lamps_of(scene: Any) -> list[Any]:
     return [emitter for emitter in scene.emitters() if emitter.class_name() in LAMPS]
 
 
+def has_lamps(capture: Any) -> bool:
+    """Return whether a capture has lamps, or a flash."""
+    return bool(lamps_of(capture.scene)) or capture.flash is not None
+
+
 def _emitter_name(emitter: Any) -> str:
     shape = emitter.get_shape()  # area lights have no id
     of = f"of shape '{shape.id()}'" if shape is not None else f"'{emitter.id()}'"

@@ -145,6 +145,15 @@ def lat_long_texture(grid: np.ndarray) -> Any:
 MOMENTS = 8  # per channel: two scalars, two vectors
 
 
+def diffuse_moments(value: Any, cosine: Any, direction: Any) -> list[Any]:
+    """Return the moments (``LightVisibility.diffuse``) of one channel of light from a direction.
+
+    ``value`` is its radiance times solid angle, ``cosine`` that of its angle to the normal.
+    """
+    parts = value * cosine, value * cosine * (1 - cosine) ** 5
+    return [x for part in parts for x in (part, *(part * direction))]
+
+
 @dataclass(frozen=True)
 class MomentMap:
     """Diffuse moments (``LightVisibility.diffuse``) of unoccluded light."""

@@ -94,7 +94,7 @@ def no_environment() -> Environment:
 def lat_long(local: Any) -> tuple[Any, Any]:
     """Return phi / 2 pi in [0, 1) and theta / pi of local directions; derivatives are finite."""
     if dr.is_array_v(local):
-        # At a pole, phi has no derivative; that of acos(y) is infinite from 3e-4 around it on.
+        # At a pole, phi has no derivative; acos(y) has an infinite one where y rounds to 1.
         square = dr.fma(local.x, local.x, local.z * local.z)
         pole = square < POLE
         u = dr.atan2(local.x, dr.select(pole, 1, -local.z)) * dr.inv_two_pi

@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, fold
-from svu_mi.light.band_limited import MOMENTS
+from svu_mi.light.band_limited import MOMENTS, diffuse_moments
 
 APART = 0.06  # angular distance of the cells of an area light, as seen from the object
 FEWEST, MOST = 2, 8  # cells along each side of an area light
@@ -97,10 +97,8 @@ def trace_lamps(scene: Any, lamps: Sequence[Any], surface: TexelLanes, *, occlud
             place = (start + cell) * lanes + surface.lane
             dr.scatter(toward, mi.Vector4f(*direction, radius), place)
             dr.scatter(flux, mi.Vector4f(*light, dr.mean(light)), place)
-            cosine, added = dr.maximum(dr.dot(surface.normal, direction), 0), []
-            for value in light:
-                for part in (value * cosine, value * cosine * (1 - cosine) ** 5):
-                    added += [part, *(part * direction)]
+            cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
+            added = [x for value in light for x in diffuse_moments(value, cosine, direction)]
             return (cell + 1, *(a + b for a, b in zip(sums, added, strict=True)))
 
         sums = list(fold(mi.UInt32(0), dr.opaque(mi.UInt32, side * side), add, *sums))

@@ -17,7 +17,7 @@ import numpy as np
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.local_memory import scatter_strided
 from svu_mi.geometry.sample_view import TexelLanes, fold
-from svu_mi.light.band_limited import MOMENTS
+from svu_mi.light.band_limited import MOMENTS, diffuse_moments
 
 DEGREE = 6
 EVEN = [l * l + l + m for l in range(DEGREE + 1) for m in range(-l, l + 1) if (l + m) % 2 == 0]
@@ -100,8 +100,7 @@ def trace_near_light(
         expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
         added = [2 * value * basis[index] for value in expanded for index in EVEN]
         for value in color:
-            for part in (value * z, value * z * (1 - z) ** 5):
-                added += [part, *(part * world)]
+            added += diffuse_moments(value, z, world)
         return (ray + 1, sampler, *(a + b for a, b in zip(sums, added, strict=True)))
 
     size, zero = PARTS * len(EVEN), dr.zeros(mi.Float, count)

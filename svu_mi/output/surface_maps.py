@@ -150,7 +150,7 @@ def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceM
     """Return the map of a parameter's interval half-width."""
     half = f"half the width of the {100 * intervals.mass:g} % interval"
     is_found = has_estimated_light(estimate)
-    counted = f"Points count as determined up to ±{TOLERANCE:g}, the darkest sixth of the colours."
+    meaning = f"Points count as determined up to ±{TOLERANCE:g}, the darkest sixth of the colours."
     several = name == "base_color" and estimate.posterior.channels == 3
     widest = ", of the widest channel" if several else ""
     return SurfaceMap(
@@ -158,7 +158,7 @@ def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceM
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
         sentence=f"Half-width of the {100 * intervals.mass:g} % interval{widest}. "
-        + ("It may be too small, as the light was estimated." if is_found else counted),
+        + ("It may be too small, as the light was estimated." if is_found else meaning),
     )  # fmt: skip
 
 

@@ -10,7 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.light.band_limited import diffuse_moments
 from svu_mi.light.flash_light import FlashCell, FlashLight
+from svu_mi.reflection.lamp_lobes import reflected
 from svu_mi.reflection.lobes import widened_ggx
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
@@ -26,11 +28,8 @@ class FlashLobes:
     def moments(self, surface: TexelLanes, cell: FlashCell) -> list[list[Any]]:
         """Return the diffuse moments (``LightVisibility.diffuse``): 8 Floats per channel."""
         cosine = dr.maximum(dr.dot(surface.normal, cell.direction), 0)
-        result = []
-        for value in cell.light(0, self.channels):
-            parts = value * cosine, value * cosine * (1 - cosine) ** 5
-            result.append([x for part in parts for x in (part, *(part * cell.direction))])
-        return result
+        values = cell.light(0, self.channels)
+        return [diffuse_moments(value, cosine, cell.direction) for value in values]
 
     def retroreflection(
         self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any
@@ -48,11 +47,7 @@ class FlashLobes:
         self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any
     ) -> list[Lobe]:  # fmt: skip
         """Return the light that each lobe reflects towards the camera."""
-        normal = mi.Vector3f(surface.normal)
-        sums = LobeSums(self.alpha, self.channels, normal, direction, widened_ggx)
-
-        def add(number: Any, memory: Any) -> tuple[Any, Any]:
-            angles = sums.angles(cell, number)
-            return (number + 1, *sums.add(cell, number, angles, mi.Bool(True), memory))
-
-        return sums.integrate(dr.opaque(mi.UInt32, 1), add, cosine)
+        sums = LobeSums(
+            self.alpha, self.channels, mi.Vector3f(surface.normal), direction, widened_ggx
+        )
+        return reflected(sums, cell, dr.opaque(mi.UInt32, 1), cosine)

@@ -35,12 +35,17 @@ class LampLobes:
 
     def reflect(self, surface: TexelLanes, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light of lamps that each lobe reflects towards a camera."""
-        cells = self.lamps.seen_from(surface.lane)
-        normal = mi.Vector3f(surface.normal)
-        sums = LobeSums(self.alpha, self.channels, normal, direction, widened_ggx)
+        sums = LobeSums(
+            self.alpha, self.channels, mi.Vector3f(surface.normal), direction, widened_ggx
+        )
+        return reflected(sums, self.lamps.seen_from(surface.lane), self.lamps.number, cosine)
 
-        def add(cell: Any, memory: Any) -> tuple[Any, Any]:
-            angles = sums.angles(cells, cell)
-            return (cell + 1, *sums.add(cells, cell, angles, mi.Bool(True), memory))
 
-        return sums.integrate(self.lamps.number, add, cosine)
+def reflected(sums: LobeSums, cells: Any, number: Any, cosine: Any) -> list[Lobe]:
+    """Return the light of visible cells, ``number`` (UInt32) of them, that each lobe reflects."""
+
+    def add(cell: Any, memory: Any) -> tuple[Any, Any]:
+        angles = sums.angles(cells, cell)
+        return (cell + 1, *sums.add(cells, cell, angles, mi.Bool(True), memory))
+
+    return sums.integrate(number, add, cosine)

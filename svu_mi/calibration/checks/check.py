@@ -36,7 +36,6 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.load_warnings import (
-    FEWEST_FOR_LIGHT,
     MOST,
     UNMODELLED,
     back_face_share,
@@ -228,9 +227,9 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     if emitter is None:
         recorded = capture.exposures_known and len(set(capture.exposures)) > 1
         known = "the recorded exposures are used, and " if recorded else ""
-        few = sum(capture.used) < FEWEST_FOR_LIGHT
-        advice = "take more photographs" if few else "use --gains estimate"
-        advice = "nothing is to be done" if recorded else advice
+        few = too_few_for_light(sum(capture.used)) is not None
+        otherwise = "take more photographs" if few else "use --gains estimate"
+        advice = "nothing is to be done" if recorded else otherwise
         return decisions.unknown("gain", f"{known}the capture has no light; {advice}")
     if _axes_are_off(axial):
         return decisions.unknown("gain", "cameras, mesh and light must fit first")

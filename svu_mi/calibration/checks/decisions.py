@@ -295,11 +295,9 @@ def _causes(names: Sequence[str]) -> str:
 
 
 def _as_well(alternatives: Sequence[Sequence[str]]) -> str:
-    return (
-        f"; {_choices(alternatives)} would fit as well, as for a symmetric object"
-        if alternatives
-        else ""
-    )
+    if not alternatives:
+        return ""
+    return f"; {_choices(alternatives)} would fit as well, as for a symmetric object"
 
 
 def _choices(alternatives: Sequence[Sequence[str]]) -> str:

@@ -38,7 +38,7 @@ from svu_mi.calibration.checks.surface_samples import (
     scatter_points,
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
-from svu_mi.capture.scene import lamps_of
+from svu_mi.capture.scene import has_lamps
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.light.light_tree import LightCells, build_light_tree
 from svu_mi.light.light_visibility import is_unoccluded
@@ -171,7 +171,7 @@ def unit_of(capture: Capture, small: Capture) -> float:
 def too_bright(estimate: Estimate) -> str | None:
     """Return a message if the photographs are too bright for the light, else None."""
     seen = estimate.observed
-    if seen is None or lamps_of(seen.capture.scene) or seen.capture.flash is not None:
+    if seen is None or has_lamps(seen.capture):
         return None
     points = scatter_points(seen.capture.shape)
     sightings = sample_points(points, Thumbnails(seen.capture, seen.views, np.zeros((0, 4, 4))))

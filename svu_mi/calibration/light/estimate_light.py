@@ -39,7 +39,7 @@ from svu_mi.calibration.light.light_uncertainty import (
     widening_of,
 )
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.scene import lamps_of
+from svu_mi.capture.scene import has_lamps
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimate import Estimate, observations_of
@@ -78,7 +78,7 @@ def estimate_light(
     options, progress = options or LightOptions(), progress or Progress()
     switches: AngularPreset = find_preset("default", method="angular", bare_metals=0.0)
     observed = observations_of(source, texels, progress)
-    if lamps_of(observed.capture.scene) or observed.capture.flash is not None:
+    if has_lamps(observed.capture):
         _ = observed.lighting  # refuses lamps
     with progress.stage("Choosing texels"):
         samples = TexelSamples.of(observed, switches, options.texels, options.known)
