@@ -103,7 +103,7 @@ def _view_table(result: Check) -> Any:
 
     shown = min(SHOWN, len(result.views))
     table = Table(
-        f"worst {shown} of {len(result.views)}", "IoU", "contrast", "colour error", box=None
+        f"worst {shown} of {len(result.views)}", "IoU", "outline contrast", "colour error", box=None
     )
     for view in result.worst[:SHOWN]:
         table.add_row(view.name, *_fit_numbers(view))

@@ -272,7 +272,7 @@ def test_poses_are_not_blamed_for_a_texture(texture, silhouette, verdict, fixes)
     assert (finding.verdict, finding.fixes) == (verdict, fixes), finding.sentence
     assert chosen.hypothesis.names == fixes
     if verdict != "wrong":
-        words = "Cameras and mesh fit the photographs (silhouettes overlap by 0.97 at 64 pixels, "
+        words = "Cameras and mesh fit the photographs (silhouettes overlap by 0.97, "
         assert finding.sentence.startswith(words)
         assert chosen.cues.keys() == {"silhouettes at 64 pixels", "views agree", "texture"}
         assert "instead of silhouettes" not in finding.sentence

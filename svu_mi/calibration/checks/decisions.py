@@ -148,8 +148,10 @@ def _is_poor(score: PoseScore) -> bool:
 
 
 def _fit(score: PoseScore) -> str:
-    kind = "silhouettes overlap by" if score.masked else "contrast along the outline"
-    return f"{kind} {score.silhouette:.2f} at {SMALL} pixels, views agree by {score.agreement:.2f}"
+    shape = f"contrast along the outline {score.silhouette:.2f} (chance: 0.5)"
+    if score.masked:
+        shape = f"silhouettes overlap by {score.silhouette:.2f}"
+    return f"{shape}, views agree by {score.agreement:.2f} of 1 at {SMALL} pixels"
 
 
 def decide_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:
