@@ -38,7 +38,11 @@ def test_the_loop_recovers_png_textures(tmp_path, monkeypatch):
     write_png_scene(tmp_path, grey, 12, 48)  # the scene that the loop starts from
     script = re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
     names: dict[str, Any] = {}
+    starts = re.findall(r"`params=(.*?)`", PAGE.read_text(encoding="utf-8"))
     exec(compile(script, PAGE.name, "exec"), names)
+    assert len(starts) == 2
+    for start in starts:
+        assert set(mi.ad.Adam(0.03, eval(start, names)).keys()) == set(names["textures"])
     seen = names["texels"].to_image(np.array(names["estimate"].coverage)) >= 3
     found = np.array(names["optimizer"][names["keys"]["base_color"]])[seen]
     assert seen.mean() > 0.4 and found.min() >= 0 and found.max() <= 1
