@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +36,7 @@ from svu_mi.core.io.output_folder import Claim, claimed, writing
 from svu_mi.core.io.provenance import RUN
 from svu_mi.core.memory import Size, Sizes
 from svu_mi.core.validation import require_render, require_spp
-from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
+from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
 
 VIEWS = "view_*.exr"  # files that an interrupted run keeps for resuming
 KEY = 16  # hexadecimal digits of the id of a run
@@ -211,21 +210,6 @@ def plan_render(
         scene=scene, light=light, target=target, sensors=sensors, spp=spp, seed=seed,
         unwrap=unwrap, description=description,
     )  # fmt: skip
-
-
-def require_rendered(capture: Capture, spp: int) -> None:
-    """Raise if a capture was not rendered with ``spp`` and the sensors of its scene."""
-    if capture.source is None or (description := capture_folder.read(capture.source)) is None:
-        return
-    own = [describe(sensor) for sensor in find_sensors(capture.scene, str(description.scene))]
-    changed = "with other sensors than the scene has now"
-    if json.loads(json.dumps(own)) == list(description.sensors):
-        if description.rendered.get("spp", spp) == spp:
-            return
-        changed = f"with --spp {excerpt(description.rendered['spp'], 20)}"
-    raise OptionError(
-        f"{capture.source}: was rendered {changed}; restore that, or omit --resume to start again."
-    )
 
 
 def _require_views(claim: Claim, films: Sequence[Size], run: str) -> None:

@@ -246,47 +246,6 @@ def test_killed_command_is_retried_failed_one_is_not(shelf_of, tmp_path):
     assert outcome.sentence == "entropy: went wrong" and not read_done(outcome.folder)
 
 
-def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
-    item = BatchItem("a", shelf_of("a") / "a")
-    shelf = BatchRunner(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
-    left = shelf.output / "a" / STEPS["recover"].checkpoint
-
-    class Killed(Made):
-        def run(self, words):
-            left.parent.mkdir(parents=True, exist_ok=True)
-            left.touch()
-            return super().run(words)
-
-    killed = Killed([-9] * 3)
-    assert shelf.work(item, killed).sentence
-    assert ["--resume" in line for line in killed.lines] == [False, True, True]
-    again = Made()
-    assert shelf.work(item, again).steps_run == 1 and again.lines[0][-1] == "--resume"
-
-
-def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
-    item = BatchItem("a", shelf_of("a") / "a")
-    shelf = BatchRunner(output=tmp_path / "out", steps=["recover"])
-    left = shelf.output / "a" / STEPS["recover"].checkpoint
-
-    def tried(*statuses):
-        commands = Made(statuses)
-        outcome = shelf.work(item, commands)
-        return outcome.sentence, ["--resume" in line for line in commands.lines], left.exists()
-
-    assert tried(2)[0]
-    left.parent.mkdir(parents=True)
-    left.write_bytes(b"half a checkpo")
-    assert tried(130) == (
-        "recover: went wrong",
-        [True],
-        True,
-    )  # after Ctrl-C the checkpoint is valid
-    assert tried(2, 2) == ("recover: went wrong", [True, False], False)
-    left.touch()
-    assert tried(2) == ("", [True, False], False)
-
-
 def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch):
     folder = shelf_of("file", "full", "good", "odd")
     (folder / "odd" / "capture.json").write_text("{")

@@ -175,9 +175,8 @@ class BatchRunner:
             key = step_key(words, key)
             # Results are written atomically: they are complete if their last file exists.
             if done.get(name, {}).get("key") != key or not (folder / step.proof).is_file():
-                left = folder / step.checkpoint if step.checkpoint else None
                 start = time.perf_counter()
-                ended = _run_command(commands, [*words, *self.words], left)
+                ended = _run_command(commands, [*words, *self.words])
                 if ended.status or not (folder / step.proof).is_file():
                     said = ended.message or f"ended with status {ended.status}, without a result"
                     yield replace(outcome, sentence=f"{step.command}: {said}")
@@ -246,14 +245,10 @@ def dask_client(address: str) -> Iterator[Any]:
             client.close()
 
 
-def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
-    """Run a command; if a signal kills it, run it again, from the checkpoint ``left`` if any."""
+def _run_command(commands: CommandPool, words: Sequence[str]) -> ProcessResult:
+    """Run a command; if a signal kills it, run it again."""
     for _ in range(TRIES):
-        resumes = left is not None and left.is_file()
-        ended = commands.run([*words, "--resume"] if resumes else words)
-        if resumes and left is not None and ended.status > 0 and ended.status != INTERRUPTED:
-            left.unlink(missing_ok=True)  # damaged, or from other inputs
-            ended = commands.run(words)
+        ended = commands.run(words)
         if ended.status >= 0:
             return ended
     return ended._replace(message=f"was killed {TRIES} times (signal {-ended.status})")

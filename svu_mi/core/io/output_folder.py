@@ -34,7 +34,6 @@ from svu_mi.errors import OutputError, SvuWarning, excerpt
 # Names that stay in captures and results when these are replaced: light estimates, renderings and
 # unwrapped meshes. Keys inside of them decide whether they are still valid.
 KEPT = ("light", "light-gains", "cache", "capture", "unwrapped.ply")
-CHECKPOINT = ".svu-checkpoint.npz"  # file in the draft of an interrupted recovery
 IGNORED = {".DS_Store", "Thumbs.db"}
 # Last line of an HTML page without a record: the digest of the text before it.
 MARK = re.compile(rb"<!-- svu:page=([0-9a-f]{32}) -->\n\Z")
@@ -181,7 +180,7 @@ def _put_in_place(claim: Claim) -> None:
     new = draft.rename(unused_name(target)) if other else draft
     with exchanged(new, target):  # from here on, ``new`` names the older folder
         _move_kept(new, target)
-        for path in target.glob(".svu-*"):  # only needed to resume a run
+        for path in target.glob(".svu-*"):  # of the command, or of a killed one before it
             _remove(path)
         if not other:
             shutil.rmtree(draft, ignore_errors=True)
