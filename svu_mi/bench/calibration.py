@@ -1,77 +1,105 @@
-"""``svu bench calibration``: share of posterior intervals and sets that contain the truth.
+"""``svu bench calibration``: error bars of the preset ``default``, compared with the truth.
 
-The preset ``default`` is compared with the true textures, averaged over each texel, for 1500
-visible texels (seed 0):
+1500 visible texels per case are compared with the true textures, averaged over each texel:
 
-* shares of 90 and 50 % credible sets (cells of the grid, the last one in part) that contain the
-  truth; and shares of the 90 % intervals that contain it;
-* correlation of predicted errors (root of the summed variances) and true errors (root of the
-  summed squared errors of all parameters); relative area under the sparsification error (0
-  perfect, 1 random);
-* CRPS of every parameter from draws, relative to the CRPS with overdispersion 3; PSNR of means;
-* share of narrow 90 % intervals, at most .05 to either side, that contain the truth;
-* correlation of the entropy with path-traced entropy for the same likelihood.
+* shares of 90 and 50 % credible sets (cells of the grid, the last one in part) and of 90 %
+  intervals that contain the truth; of narrow intervals, at most .05 to either side, too;
+* interval score, CRPS of draws, and PSNR of means; correlation of predicted errors (root of the
+  summed variances) and true errors (root of the summed squared errors of all parameters);
+* ``before``: the same without the test by folds and the prior of metals, with eight levels;
+* correlation of the entropy with path-traced entropy for the same likelihood;
+* in some cases, photographs that the model does not explain (``VARIANTS``);
+* metallic of dark dielectrics and real metals (``plain_balls``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from svu_mi.bench import spoiled_captures as spoiled
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
-from svu_mi.bench.markdown import Column, digits, table, tabulate
+from svu_mi.bench.markdown import Bar, Column, digits, table, tabulate
+from svu_mi.bench.plain_balls import BallCase
+from svu_mi.bench.posterior_scores import JUDGED, posterior_figures
 from svu_mi.bench.study import Selection, Study
-from svu_mi.evaluation.correlation import pearson, sparsification, spearman
-from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
+from svu_mi.calibration.light.estimate_light import estimate_light
+from svu_mi.calibration.light.resolve_light import with_light
+from svu_mi.capture.capture import Capture
+from svu_mi.evaluation.correlation import pearson, spearman
 from svu_mi.geometry.texel_materials import parameters_at
-from svu_mi.geometry.texels import texels
-from svu_mi.parameters import NAMES
+from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
+from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 
-JUDGED, TRACED, SPP = 1500, 100, 256  # compared texels; path-traced texels, and their samples
+SIZES: dict[str, Any] = {"views": 32, "film": 128, "spp": 32}
+QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
+TEXELS, QUICK_TEXELS = 160, 32  # per side
+TRACED, SPP = 100, 256  # path-traced texels, and their samples
 QUICK_TRACED, QUICK_SPP = 30, 16
 FINER = 4  # samples of the true textures per side of a texel
-DRAWS = 64
-SETTLED = 0.05
-NODES = np.arange(8) / 7
+BEFORE = {"folds": 0, "bare_metals": 0.0, "metal_share": 0.5, "levels": 8}
+WITH_VARIANTS = 6  # cases whose variants are measured
+GREY = (0.5, 0.5, 0.5)
 SHOWN = {
     "90 r": "90 % sets: r", "90 m": "m", "90 c": "c", "90 rm": "r, m", "50 r": "50 %: r",
     "50 m": "m", "50 c": "c", "50 rm": "r, m", "pearson": "Pearson", "spearman": "Spearman",
     "ause r": "AUSE r", "ause m": "m", "ause c": "c", "psnr r": "PSNR r", "psnr m": "m",
     "psnr c": "c",
 }  # fmt: skip
-
-Truths = Mapping[str, np.ndarray]
+PARAMETERS = {"r": "roughness", "m": "metallic", "c": "base colour"}
 
 
 @dataclass(frozen=True)
 class CalibrationCase(CaseSubject):
-    """A case whose posterior is compared with the true textures."""
+    """A case whose posterior is compared with the true textures.
+
+    Attributes:
+        varied: True if variants of its photographs are measured, too.
+    """
+
+    varied: bool
 
     @property
     def rows(self) -> tuple[Measurement, ...]:
-        return PARTS
+        return PARTS + (OF_VARIANTS if self.varied else ())
+
+    @property
+    def photographs(self) -> dict[str, Any]:
+        """Number and size of photographs, and their samples per pixel."""
+        return QUICK if self.bench.quick else SIZES
 
     @cached_property
-    def chosen(self) -> np.ndarray:
-        """Indices of the compared texels, (t,)."""
-        seen = np.flatnonzero(np.array(estimate(self.capture, self.layout).coverage))
-        count = min(JUDGED, len(seen))
-        return np.sort(np.random.default_rng(0).choice(seen, count, replace=False))
+    def capture(self) -> Capture:
+        """Photographs of the case."""
+        return self.bench.capture(self.case, "calibration", **self.photographs)
+
+    @property
+    def bounced(self) -> Capture:
+        """Photographs with all bounces."""
+        case = replace(self.case, defines={**self.case.defines, "max_depth": "6"})
+        return self.bench.capture(case, "calibration-bounces", **self.photographs)
+
+    def texels_of(self, capture: Capture) -> Texels:
+        """Return the texels of a capture's mesh."""
+        return texels(capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
 
     @cached_property
-    def true_values(self) -> dict[str, np.ndarray]:
-        """Mean of the true texture over each compared texel, (t,) or (t, 3) by parameter."""
-        return {name: values[self.chosen] for name, values in self._true_means().items()}
+    def layout(self) -> Texels:
+        """Texels of the object."""
+        return self.texels_of(self.capture)
 
-    def _true_means(self) -> dict[str, np.ndarray]:
-        """Return the mean of the true texture over each texel, (T,) or (T, 3) by parameter."""
+    @cached_property
+    def true_means(self) -> dict[str, np.ndarray]:
+        """Mean of the true texture over each texel, (T,) or (T, 3) by parameter."""
         layout, width = self.layout, self.layout.resolution[0]
         fine = texels(self.capture.mesh, width * FINER)
         x, y = fine.index.numpy() % (width * FINER), fine.index.numpy() // (width * FINER)
@@ -92,8 +120,30 @@ class CalibrationCase(CaseSubject):
     def calibration(self, **switches: Any) -> Record:
         """Return the scores of the preset ``default`` with ``switches`` replaced."""
         chosen = preset("default", method="angular", **switches)
-        estimated = estimate(self.capture, self.layout, preset=chosen, method="angular")
-        return posterior_figures(estimated.posterior, self.true_values, self.chosen)
+        found = estimate(self.capture, self.layout, preset=chosen, method="angular")
+        return self._scores(found, np.arange(self.layout.count))
+
+    def varied_as(self, name: str) -> Record:
+        """Return the scores of the preset ``default`` for a variant."""
+        capture = VARIANTS[name](self)
+        layout = self.texels_of(capture)
+        # The nearest texel of the true mesh; it is the same one if the mesh is.
+        here, there = (one.position.numpy().T for one in (layout, self.layout))
+        found = estimate(capture, layout)
+        predicted = found.prediction
+        verdict = {} if predicted is None else {
+            "reliable": predicted.reliable, "cause": predicted.cause,
+        }  # fmt: skip
+        return {**self._scores(found, cKDTree(there).query(here)[1]), **verdict}
+
+    def _scores(self, found: Estimate, truth: np.ndarray) -> Record:
+        """Return scores; ``truth`` (T,) is the texel of ``layout`` at each texel."""
+        seen = np.flatnonzero(found.posterior.observed)
+        chosen = np.random.default_rng(0).choice(seen, min(JUDGED, len(seen)), replace=False)
+        chosen.sort()
+        true = {name: values[truth[chosen]] for name, values in self.true_means.items()}
+        spread = found.posterior.kernel.spread.get("roughness", 1.0)
+        return {**posterior_figures(found.posterior, true, chosen), "spread": spread}
 
     def traced(self) -> Record:
         """Return the correlation of the entropy with path-traced entropy."""
@@ -111,135 +161,173 @@ class CalibrationCase(CaseSubject):
 
 PARTS = (
     Measurement("default", CalibrationCase.calibration),
-    Measurement("tau 3", lambda subject: subject.calibration(overdispersion=3.0)),
+    Measurement("before", lambda subject: subject.calibration(**BEFORE)),
     Measurement("traced", CalibrationCase.traced),
 )
+VARIANTS: dict[str, Callable[[CalibrationCase], Capture]] = {
+    "table": lambda case: spoiled.on_table(case.capture, GREY, case.photographs["spp"]),
+    "bounces": lambda case: case.bounced,
+    "poses": lambda case: spoiled.wrong_poses(case.capture, 0.2),
+    "coarse mesh": lambda case: spoiled.coarse_mesh(case.capture, 0.2),
+    "found light": lambda case: with_light(
+        case.capture, estimate_light(observe(case.capture, case.layout))
+    ),
+    "relief": lambda case: spoiled.with_relief(case.capture, 6, case.photographs["spp"]),
+}
 
 
-# --- scores ---------------------------------------------------------------------------------
+def _variant(name: str) -> Measurement:
+    return Measurement(name, lambda case: case.varied_as(name))
 
 
-def posterior_figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
-    """Return all scores of a posterior.
-
-    Args:
-        posterior: Posterior of T texels.
-        truth: True values (t,) or (t, 3) by parameter.
-        chosen: Indices (t,) of the compared texels.
-    """
-    true = {name: _columns(np.asarray(truth[name], np.float64)) for name in NAMES}
-    if posterior.channels == 1:
-        true["base_color"] = true["base_color"].mean(axis=1, keepdims=True)
-    result = set_coverage(np.array(posterior.probabilities_of(chosen), np.float64), true)
-    draws = posterior.draw(DRAWS, seed=1)
-    errors, variances = [], []
-    for name in NAMES:
-        key, mine = name.replace("base_", "")[0], true[name]
-        mean, sd = (_columns(np.array(x(name), np.float64)[chosen])
-                    for x in (posterior.mean, posterior.sd))  # fmt: skip
-        low, high = (_columns(np.array(end)) for end in posterior.interval(name, 0.9, chosen))
-        inside = (mine >= low - 1e-6) & (mine <= high + 1e-6)
-        settled = (high - low) / 2 <= SETTLED
-        error, variance = ((mean - mine) ** 2).mean(axis=1), (sd**2).mean(axis=1)
-        errors.append(error)
-        variances.append(variance)
-        drawn = np.array(draws[name])[:, chosen].astype(np.float64)
-        result |= {
-            f"interval {key}": float(inside.mean()), f"settled {key}": float(settled.mean()),
-            f"settled {key} holds": float(inside[settled].mean()) if settled.any() else 1.0,
-            f"psnr {key}": float(-10 * np.log10(np.mean((mean - mine) ** 2))),
-            f"ause {key}": sparsification(np.sqrt(error), np.sqrt(variance)).relative,
-            f"crps {key}": crps(drawn.reshape(DRAWS, *mine.shape), mine),
-        }  # fmt: skip
-    error, expected = np.sqrt(np.sum(errors, axis=0)), np.sqrt(np.sum(variances, axis=0))
-    return result | {"pearson": pearson(error, expected),
-                     "spearman": spearman(error, expected)}  # fmt: skip
-
-
-def _columns(values: np.ndarray) -> np.ndarray:
-    """Return values (t,) or (t, g) as (t, g)."""
-    return values if values.ndim == 2 else values[:, None]
-
-
-def set_coverage(p: np.ndarray, truth: Truths) -> Record:
-    """Return the shares of credible sets that contain the truth.
-
-    Args:
-        p: Probabilities (t, roughness, metallic, base colour), or with a last axis of channels.
-        truth: True values (t, g) by parameter.
-    """
-    p = p if p.ndim == 5 else p[..., None]
-    bins = {
-        name: np.stack([nearest_bins({name: NODES}, {name: x}) for x in truth[name].T], axis=1)
-        for name in NAMES
-    }
-    r, m = bins["roughness"][:, 0], bins["metallic"][:, 0]
-    of = {
-        "r": (p[..., 0].sum(axis=(2, 3)), r),
-        "m": (p[..., 0].sum(axis=(1, 3)), m),
-        "rm": (p[..., 0].sum(axis=3).reshape(len(p), -1), len(NODES) * r + m),
-    }
-    colors = list(zip(np.moveaxis(p.sum(axis=(1, 2)), 2, 0), bins["base_color"].T, strict=True))
-    result = {}
-    for mass in (0.9, 0.5):
-        key = f"{100 * mass:.0f}"
-        for name, (q, own) in of.items():
-            result[f"{key} {name}"] = credible_coverage(q, own, mass).fractional
-        coverages = [credible_coverage(q, own, mass).fractional for q, own in colors]
-        result[f"{key} c"] = float(np.mean(coverages))
-    return result
-
-
-def crps(drawn: np.ndarray, true: np.ndarray) -> float:
-    """Return the mean CRPS, E|x - truth| - E|x - x'| / 2, of draws (n, t, g)."""
-    n = len(drawn)
-    ordered = np.sort(drawn, axis=0)
-    weights = (2 * np.arange(n) - n + 1)[:, None, None]
-    apart = 2 * (weights * ordered).sum(axis=0) / (n * (n - 1))
-    return float((np.abs(drawn - true).mean(axis=0) - apart / 2).mean())
+OF_VARIANTS = tuple(_variant(name) for name in VARIANTS)
 
 
 # --- tables ---------------------------------------------------------------------------------
 
 
-def _tables(record: Record) -> list[str]:
-    cases = record["cells"]
-    if not cases:
+def _rows(record: Record, part: str) -> list[Record]:
+    """Return the results of a row, one per case that has it."""
+    return [case["rows"][part] for case in record["cells"] if part in case["rows"]]
+
+
+def _mean(rows: Iterable[Record], key: str) -> float:
+    return float(np.mean([row[key] for row in rows]))
+
+
+def _narrow(rows: list[Record]) -> float:
+    """Return the share of all narrow intervals of roughness that contain the truth."""
+    share, held = (np.array([row[key] for row in rows]) for key in ("settled r", "settled r holds"))
+    return float((share * held).sum() / max(share.sum(), 1e-9))
+
+
+def _pooled(rows: list[Record]) -> tuple[np.ndarray, np.ndarray]:
+    """Return true and predicted errors of texels of all cases."""
+    return tuple(np.concatenate([row[key] for row in rows])
+                 for key in ("errors", "expected"))  # type: ignore[return-value] # fmt: skip
+
+
+def find_bars(record: Record) -> list[Bar]:
+    """Return the bars of a record of ``svu bench calibration``."""
+    rows, before = (_rows(record, part) for part in ("default", "before"))
+    if not before:
         return []
-    rows = [case["rows"]["default"] for case in cases]
-    values = {key: [one[key] for one in rows] for key in rows[0]}
+    bars = []
+    for key, name in PARAMETERS.items():
+        held = [row[f"interval {key}"] for row in rows]
+        title = f"{name}: 90 % intervals that contain the truth"
+        bars += [Bar(f"{title}, at least", float(np.mean(held)), 0.85, least=True),
+                 Bar(f"{title}, worst case", min(held), 0.75, least=True)]  # fmt: skip
+        if key != "m":
+            bars.append(Bar(f"{title}, at most", float(np.mean(held)), 0.97))
+        score = _mean(rows, f"score {key}") / _mean(before, f"score {key}")
+        lost = _mean(before, f"psnr {key}") - _mean(rows, f"psnr {key}")
+        bars += [Bar(f"{name}: interval score, relative to before", score, 1.0),
+                 Bar(f"{name}: PSNR of means lost since before", lost, 0.1, "dB")]  # fmt: skip
+    losses = [old["psnr m"] - new["psnr m"] for old, new in zip(before, rows, strict=True)]
+    some = _mean(rows, "settled r") / max(_mean(before, "settled r"), 1e-9)
+    bars += [
+        Bar("metallic: PSNR of means lost since before, worst case", max(losses), 1.0, "dB"),
+        Bar("narrow intervals of roughness with the truth", _narrow(rows), 0.82, least=True),
+        Bar("narrow intervals of roughness, relative to before", some, 0.7, least=True),
+        Bar("Pearson of predicted and true errors", _mean(rows, "pearson"), 0.75, least=True),
+        Bar("Spearman of predicted and true errors", _mean(rows, "spearman"), 0.78, least=True),
+    ]
+    for name in VARIANTS:
+        varied = _rows(record, name)
+        limits = {"found light": (0.75, 0.85, 0.75), "relief": (0.6, 0.0, 0.0)}
+        for key, limit in zip(PARAMETERS, limits.get(name, (0.8, 0.88, 0.85)), strict=True):
+            if varied and limit:
+                title = f"{name}: 90 % intervals of {PARAMETERS[key]} with the truth"
+                bars.append(Bar(title, _mean(varied, f"interval {key}"), limit, least=True))
+    for name, limit in (("dark dielectrics", 0.88), ("real metals", 0.9)):
+        if balls := _rows(record, name):
+            title = f"{name}: 90 % intervals of metallic with the truth"
+            bars.append(Bar(title, _mean(balls, "interval m"), limit, least=True))
+    return bars
+
+
+def _tables(record: Record) -> list[str]:
+    rows = _rows(record, "default")
+    if not rows:
+        return []
+    names = [case["cell"] for case in record["cells"] if "default" in case["rows"]]
+    values = {key: [one[key] for one in rows] for key in SHOWN}
     means = {key: float(np.mean(x)) for key, x in values.items()}
     lowest = {key: float(np.min(x)) for key, x in values.items()}
-    lines = [(f"**mean of {len(cases)}**", means), ("lowest", lowest)]
-    lines += [(case["cell"], case["rows"]["default"]) for case in cases]
+    summary = [(f"**mean of {len(rows)}**", means), ("lowest", lowest)]
+    lines = [*summary, *zip(names, rows, strict=True)]
     shown = [Column("object / light", lambda line: line[0])] + [
         Column(title, lambda line, key=key: line[1][key],  # type: ignore[misc]
                digits(1 if key.startswith("psnr") else 2))
         for key, title in SHOWN.items()
     ]  # fmt: skip
-    three = {key: np.mean([case["rows"]["tau 3"][key] for case in cases]) for key in means}
+    before = _rows(record, "before")
     by_parameter = [
-        [name, f"{means[f'crps {key}']:.4f}", f"{means[f'crps {key}'] / three[f'crps {key}']:.3f}",
-         *(f"{means[what]:.2f}" for what in
-           (f"interval {key}", f"settled {key}", f"settled {key} holds"))]
-        for name, key in (("roughness", "r"), ("metallic", "m"), ("base colour", "c"))
+        [name, *(f"{_mean(before, what):.3f} -> {_mean(rows, what):.3f}" for what in
+           (f"crps {key}", f"score {key}", f"interval {key}", f"settled {key}",
+            f"settled {key} holds", f"psnr {key}"))]
+        for key, name in PARAMETERS.items()
     ]  # fmt: skip
-    traced = [[case["cell"], *(f"{case['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
-              for case in cases]  # fmt: skip
+    traced = [[name, *(f"{row[key]:.2f}" for key in ("rho", "halves"))]
+              for name, row in zip(names, _rows(record, "traced"), strict=True)]  # fmt: skip
+    errors = _pooled(rows)
     return [
         f"At most {JUDGED} texels per case; r, m and c are roughness, metallic and base colour.",
         tabulate(shown, lines),
-        table(("parameter", "CRPS", "relative to tau = 3", "90 % intervals with the truth",
-               "intervals within .05", "narrow intervals with the truth"), by_parameter),
+        f"Predicted and true errors of texels of all cases together: Pearson {pearson(*errors):.2f}"
+        f", Spearman {spearman(*errors):.2f}.",
+        "Before and after the test by folds and the prior of metals:",
+        table(("parameter", "CRPS", "interval score", "90 % intervals with the truth",
+               "intervals within .05", "narrow intervals with the truth", "PSNR (dB)"),
+              by_parameter),
         "Correlation of the entropy with path-traced texels, and of two halves of their samples.",
         table(("object / light", "entropy", "halves"), traced),
+        "Photographs that the model does not explain:",
+        tabulate(OTHERS, _variants(record)),
     ]  # fmt: skip
 
 
+OTHERS = (
+    Column("case", lambda line: line["cell"]),
+    Column("photographs", lambda line: line["row"]),
+    *(Column(f"90 % {key}", lambda line, key=key: line.get(f"interval {key}"),  # type: ignore[misc]
+             digits(2)) for key in PARAMETERS),
+    *(Column(f"PSNR {key}", lambda line, key=key: line.get(f"psnr {key}"),  # type: ignore[misc]
+             digits(1)) for key in PARAMETERS),
+    Column("verdict", lambda line: line.get("reliable"),
+           lambda reliable: "reliable" if reliable else "unreliable"),
+)  # fmt: skip
+
+
+def _variants(record: Record) -> list[Record]:
+    """Return a line for each variant and kind of ball: of the mean, then of each case."""
+    kinds = [*VARIANTS, "dark dielectrics", "real metals"]
+    lines: list[Record] = []
+    for kind in kinds:
+        if rows := _rows(record, kind):
+            keys = [key for key in rows[0] if key.startswith(("interval", "psnr"))]
+            lines.append({"cell": f"**mean of {len(rows)}**", "row": kind,
+                          **{key: _mean(rows, key) for key in keys}})  # fmt: skip
+    return lines + [
+        {"cell": case["cell"], "row": name, **case["rows"][name]}
+        for name in kinds
+        for case in record["cells"]
+        if name in case["rows"]
+    ]
+
+
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    return Experiment(
-        "calibration", (CalibrationCase(bench, case) for case in selection.cases), True
-    )
+    cases = selection.cases
+    every = max(len(cases) // WITH_VARIANTS, 1)
+    lights = {case.light: case for case in reversed(cases)}
+    return Experiment("calibration", [
+        # One light after the other, so that all lights have variants.
+        *(CalibrationCase(bench, case, (number + number // len(lights)) % every == 0)
+          for number, case in enumerate(cases)),
+        *(BallCase(bench, lights[light]) for light in dict.fromkeys(case.light for case in cases)),
+    ], True)  # fmt: skip
 
 
-STUDY = Study(title="Calibration of the posterior", experiment=_experiment, tables=_tables)
+STUDY = Study(title="Calibration of the posterior", experiment=_experiment, tables=_tables,
+              bars=find_bars, own_sizes=True)  # fmt: skip

@@ -15,9 +15,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.bench.calibration import JUDGED, posterior_figures
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
+from svu_mi.bench.posterior_scores import JUDGED, posterior_figures
 from svu_mi.bench.spoiled_captures import box_of, on_table, photographed, with_table
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture

@@ -12,19 +12,23 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from svu_mi.calibration.checks.axis_hypotheses import with_changed_mesh
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.importers.simplify_mesh import simplify
+from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, film_size, make_sensor, sphere_sensors
+from svu_mi.capture.unwrap import unwrap
 from svu_mi.light.environment import read_environment
 from svu_mi.light.prefiltered import rasterized
 
 UP = np.array([0.0, 1.0, 0.0])
 LEAN = np.array([0.8, 0.3, 0.5]) / np.linalg.norm([0.8, 0.3, 0.5])  # not an axis of symmetry
 TABLE = 4.0  # sides of the table, in diagonals of the object
+RELIEF, ROUGH = 1024, 1.5  # pixels per side of a relief's normals, and their blur
 ABOVE = 0.1  # sine of the lowest camera above a table
 
 
@@ -58,6 +62,37 @@ def moved_mesh(capture: Capture, part: float) -> Capture:
         capture,
         lambda mesh: replace(mesh, positions=mesh.positions + part * box_of(mesh)[1] * step),
     )
+
+
+def coarse_mesh(capture: Capture, part: float) -> Capture:
+    """Simplify the mesh to a part of its faces, with new UVs."""
+
+    def change(mesh: MeshArrays) -> MeshArrays:
+        bare = MeshArrays(mesh.positions, mesh.faces, None, None)
+        small, _ = simplify(bare, int(part * len(mesh.faces)), "mesh")
+        return arrays(unwrap(make_mesh("mesh", small)))
+
+    return with_changed_mesh(capture, change)
+
+
+def with_relief(capture: Capture, degrees: float, spp: int) -> Capture:
+    """Photograph the object with slopes of ``degrees`` rms that its mesh lacks."""
+    random = np.random.default_rng(0).normal(size=(2, RELIEF, RELIEF))
+    slopes = np.array([gaussian_filter(noise, ROUGH, mode="wrap") for noise in random])
+    slopes *= np.tan(np.radians(degrees)) / np.sqrt(np.square(slopes).sum(axis=0).mean())
+    normals = np.stack([*slopes, np.ones_like(slopes[0])], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    texture = mi.load_dict({
+        "type": "bitmap", "raw": True,
+        "bitmap": mi.Bitmap(np.ascontiguousarray((normals + 1) / 2, np.float32)),
+    })  # fmt: skip
+    shape = make_mesh(capture.shape.id(), arrays(capture.shape))
+    shape.set_bsdf(mi.load_dict({
+        "type": "normalmap", "normalmap": texture, "material": capture.shape.bsdf(),
+    }))  # fmt: skip
+    scene = make_scene([shape, find_environment(capture.scene, "scene")])
+    taken = photographed(replace(capture, scene=scene), repeat(scene), spp, depth=2)
+    return replace(taken, scene=capture.scene)
 
 
 def foreign_mesh(capture: Capture, other: Capture) -> Capture:
@@ -149,9 +184,9 @@ def on_turntable(capture: Capture, spp: int) -> Capture:
     return photographed(capture, lights, spp)
 
 
-def photographed(capture: Capture, scenes: Iterable[Any], spp: int) -> Capture:
+def photographed(capture: Capture, scenes: Iterable[Any], spp: int, depth: int = 4) -> Capture:
     """Return the capture with new photographs, of one scene each."""
-    integrator = mi.load_dict({"type": "path", "max_depth": 4})
+    integrator = mi.load_dict({"type": "path", "max_depth": depth})
     images = []
     for number, (sensor, scene) in enumerate(zip(capture.sensors, scenes, strict=False)):
         image = mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=number)
