@@ -2,7 +2,8 @@
 
 Intervals are compared with the truth for textures recovered by SH; for a shared prior, with
 photographs mostly from one side; for filled textures, with a third of the surface hidden; and, in
-some cases, for pictures under two lights that were not used for recovery.
+some cases, for pictures under two lights that were not used for recovery. Standard deviations are
+compared with errors, and textures with a shared prior with those without.
 """
 
 from __future__ import annotations
@@ -81,6 +82,11 @@ class SurenessCase(CaseSubject):
         """Return ``interval_coverage`` of visible texels."""
         return interval_coverage(*self.textures_and_field, self.truth)
 
+    def sharing(self) -> Record:
+        """Return ``interval_coverage`` with a shared prior, and photographs all around."""
+        recovered = _recovered(self._some(self.capture), self.layout, sharing=True)
+        return interval_coverage(*recovered, self.truth)
+
     def shared(self) -> Record:
         """Return ``interval_coverage`` with a shared prior and views mostly from one side."""
         scale = 1.0 if self.capture.count >= FRONT_VIEWS + BACK_VIEWS else 0.25
@@ -139,7 +145,8 @@ class SurenessCase(CaseSubject):
 PARTS = tuple(
     Measurement(measure.__name__, measure)
     for measure in (
-        SurenessCase.textures, SurenessCase.shared, SurenessCase.filled, SurenessCase.pictures,
+        SurenessCase.textures, SurenessCase.sharing, SurenessCase.shared, SurenessCase.filled,
+        SurenessCase.pictures,
     )
 )  # fmt: skip
 
@@ -166,10 +173,15 @@ def _recovered(
 
 
 def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextures) -> Record:
-    """Return ``held``, the fraction of texels whose interval contains the truth, by parameter, and
-    ``spearman``, the rank correlation of standard deviation and error over all parameters."""
+    """Compare textures and their posterior field with the truth, over visible texels.
+
+    Returns:
+        ``held``, fraction of texels whose interval contains the truth, and ``width``, rms standard
+        deviation over rms error, by parameter; ``spearman``, rank correlation of standard deviation
+        and error over all parameters; ``psnr``, average PSNR (dB).
+    """
     seen = recovery.coverage > 0
-    shares, sds, errors = {}, [], []
+    shares, widths, sds, errors = {}, {}, [], []
     for name in NAMES:
         low, high = (end[seen] for end in field.interval(name, INTERVAL_MASS))
         true = np.asarray(truth.values[name], np.float64)[seen]
@@ -177,8 +189,10 @@ def interval_coverage(recovery: Recovery, field: TextureField, truth: TrueTextur
         value = np.asarray(recovery.textures.at(field.texels, name), np.float64)[seen]
         errors.append(np.abs(value - true).ravel())
         sds.append(field.sd(name)[seen].ravel())
+        widths[name] = float(np.sqrt(np.square(sds[-1]).mean() / np.square(errors[-1]).mean()))
     pooled = spearman(np.concatenate(sds), np.concatenate(errors))
-    return {"held": shares, "spearman": pooled}
+    average = truth.psnr(recovery.textures, seen)["average"]
+    return {"held": shares, "width": widths, "spearman": pooled, "psnr": average}
 
 
 def _truth(capture: Capture) -> list[np.ndarray]:
@@ -231,6 +245,8 @@ def find_bars(record: Record) -> list[Bar]:
             mean = float(np.mean([one["spearman"] for one in parts]))
             bars.append(Bar("textures: Spearman of standard deviation and error", mean, 0.68,
                             least=True))  # fmt: skip
+    both = [row for row in rows if "sharing" in row]
+    bars += _bars_of_widths(both) if both else []
     filled = [row["filled"] for row in rows if "filled" in row]
     bars += _bars_of_filling(filled) if filled else []
     pictures = [row["pictures"] for row in rows if "pictures" in row]
@@ -253,6 +269,26 @@ def find_bars(record: Record) -> list[Bar]:
             Bar("pictures: pixels within 1.64 standard deviations, at most", value["held"], 0.97),
         ]
     return bars
+
+
+def _bars_of_widths(rows: Sequence[Record]) -> list[Bar]:
+    """Return bars of standard deviations relative to errors, and of the gain of sharing."""
+    bars = []
+    for name in NAMES:
+        widths = [row["textures"]["width"][name] for row in rows]
+        title = f"widths: {name}, standard deviation over error"
+        bars += [
+            Bar(f"{title}, at least", float(np.mean(widths)), 0.8, least=True),
+            Bar(f"{title}, at most", float(np.mean(widths)), 1.25),
+            Bar(f"{title}, lowest case", min(widths), 0.6, least=True),
+            Bar(f"{title}, highest case", max(widths), 1.6),
+        ]
+    gains = [row["sharing"]["psnr"] - row["textures"]["psnr"] for row in rows]
+    repeating = [gain for gain, row in zip(gains, rows, strict=True) if row["filled"]["repeats"]]
+    if repeating:
+        title = "sharing: PSNR above default, mean of repetitive objects"
+        bars.append(Bar(title, float(np.mean(repeating)), 1.0, "dB", True))
+    return [*bars, Bar("sharing: PSNR above default, worst case", min(gains), -0.2, "dB", True)]
 
 
 def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
@@ -289,6 +325,10 @@ def tables(record: Record) -> list[str]:
         shown.append(Column(f"Spearman{title}", _figure(part, "spearman"),
                             digits(2)))  # fmt: skip
     shown += [
+        *(Column(f"{name}: sd over error", _figure("textures", "width", name), digits(2))
+          for name in NAMES),
+        Column("PSNR", _figure("textures", "psnr"), digits(2)),
+        Column("PSNR, sharing", _figure("sharing", "psnr"), digits(2)),
         Column("filled: share of texels", _figure("filled", "hidden"), digits(2)),
         Column("PSNR before", _figure("filled", "psnr_before"), digits(2)),
         Column("PSNR after", _figure("filled", "psnr"), digits(2)),

@@ -14,6 +14,8 @@ from svu_mi.bench import (
     light,
     paper,
     paths,
+    plain_balls,
+    posterior_scores,
     reflected,
     scaling,
     sureness,
@@ -54,7 +56,9 @@ def _briefly(*known, preset="default", **words):
 
 TINY = {
     light: {"QUICK": {"views": 12, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
-    calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 2},
+    calibration: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12,
+                  "QUICK_TRACED": 10, "QUICK_SPP": 2},
+    plain_balls: {"QUICK_FILM": 16, "TEXELS": 16},
     scaling: {"QUICK": scaling.ScalingSizes(
         resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
     paths: {"QUICK": (12, 2, 1)},
@@ -70,8 +74,8 @@ TINY = {
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cases", "rows"),
-    [("calibration", 1, 3), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
-     ("reflected", 1, 7),      ("scaling", 1, 4), ("sureness", 1, 4), ("verdict", 1, 4)],
+    [("calibration", 2, 9), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
+     ("reflected", 1, 7),      ("scaling", 1, 4), ("sureness", 1, 5), ("verdict", 1, 4)],
 )  # fmt: skip
 def test_a_study_measures_every_row(name, cases, rows, tmp_path, monkeypatch):
     for module, changes in TINY.items():
@@ -171,16 +175,16 @@ def test_crps_is_that_of_all_pairs_of_draws():
     drawn, true = rng.random((20, 5, 2)), rng.random((5, 2))
     apart = np.abs(drawn[:, None] - drawn[None]).sum(axis=(0, 1)) / (20 * 19)
     expected = (np.abs(drawn - true).mean(axis=0) - apart / 2).mean()
-    assert calibration.crps(drawn, true) == pytest.approx(expected)
+    assert posterior_scores.crps(drawn, true) == pytest.approx(expected)
 
 
 @pytest.mark.slow
 def test_figures_of_calibration_are_parts(vase):
     chosen = np.flatnonzero(np.array(vase.estimate.coverage))[::5]
     known = ground_truth(vase.capture, vase.texels)
-    truth = {name: known[name][chosen] for name in calibration.NAMES}
-    figures = calibration.posterior_figures(vase.estimate.posterior, truth, chosen)
-    assert all(np.isfinite(value) for value in figures.values())
+    truth = {name: known[name][chosen] for name in posterior_scores.NAMES}
+    figures = posterior_scores.posterior_figures(vase.estimate.posterior, truth, chosen)
+    assert all(np.isfinite(value).all() for value in figures.values())
     assert all(
         0 <= figures[key] <= 1 for key in figures if key.startswith(("90", "50", "interval"))
     )
