@@ -7,8 +7,8 @@
 * interval score, CRPS of draws, and PSNR of means; correlation of predicted errors (root of the
   summed variances) and true errors (root of the summed squared errors of all parameters);
 * ``before``: the same without the test by folds and the prior of metals, with eight levels;
-* correlation of the entropy with path-traced entropy for the same likelihood;
-* in some cases, photographs that the model does not explain (``VARIANTS``);
+* in some cases, correlation of the entropy with path-traced entropy for the same likelihood, and
+  the scores for photographs that the model does not explain (``VARIANTS``);
 * metallic of dark dielectrics and real metals (``plain_balls``).
 """
 
@@ -63,14 +63,14 @@ class CalibrationCase(CaseSubject):
     """A case whose posterior is compared with the true textures.
 
     Attributes:
-        varied: True if variants of its photographs are measured, too.
+        varied: True if path-traced entropy and variants of its photographs are measured, too.
     """
 
     varied: bool
 
     @property
     def rows(self) -> tuple[Measurement, ...]:
-        return PARTS + (OF_VARIANTS if self.varied else ())
+        return PARTS if self.varied else PARTS[:2]
 
     @property
     def photographs(self) -> dict[str, Any]:
@@ -159,11 +159,6 @@ class CalibrationCase(CaseSubject):
         }
 
 
-PARTS = (
-    Measurement("default", CalibrationCase.calibration),
-    Measurement("before", lambda subject: subject.calibration(**BEFORE)),
-    Measurement("traced", CalibrationCase.traced),
-)
 VARIANTS: dict[str, Callable[[CalibrationCase], Capture]] = {
     "table": lambda case: spoiled.on_table(case.capture, GREY, case.photographs["spp"]),
     "bounces": lambda case: case.bounced,
@@ -180,9 +175,12 @@ def _variant(name: str) -> Measurement:
     return Measurement(name, lambda case: case.varied_as(name))
 
 
-OF_VARIANTS = tuple(_variant(name) for name in VARIANTS)
-
-
+PARTS = (
+    Measurement("default", CalibrationCase.calibration),
+    Measurement("before", lambda subject: subject.calibration(**BEFORE)),
+    Measurement("traced", CalibrationCase.traced),
+    *(_variant(name) for name in VARIANTS),
+)
 # --- tables ---------------------------------------------------------------------------------
 
 
@@ -269,8 +267,8 @@ def _tables(record: Record) -> list[str]:
             f"settled {key} holds", f"psnr {key}"))]
         for key, name in PARAMETERS.items()
     ]  # fmt: skip
-    traced = [[name, *(f"{row[key]:.2f}" for key in ("rho", "halves"))]
-              for name, row in zip(names, _rows(record, "traced"), strict=True)]  # fmt: skip
+    traced = [[case["cell"], *(f"{case['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
+              for case in record["cells"] if "traced" in case["rows"]]  # fmt: skip
     errors = _pooled(rows)
     return [
         f"At most {JUDGED} texels per case; r, m and c are roughness, metallic and base colour.",
