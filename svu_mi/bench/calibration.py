@@ -40,7 +40,7 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 
-SIZES: dict[str, Any] = {"views": 32, "film": 128, "spp": 32}
+SIZES: dict[str, Any] = {"views": 40, "film": 192, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
 TEXELS, QUICK_TEXELS = 160, 32  # per side
 TRACED, SPP = 100, 256  # path-traced texels, and their samples

@@ -19,7 +19,15 @@ from svu_mi.posterior.estimators import (
     view_counts,
     weighting_of,
 )
-from svu_mi.posterior.folds import ENOUGH, SAMPLE, compared, fold_numbers, folds_of, spread_factors
+from svu_mi.posterior.folds import (
+    ENOUGH,
+    SAMPLE,
+    UNRELIABLE,
+    compared,
+    fold_numbers,
+    folds_of,
+    spread_factors,
+)
 from svu_mi.posterior.held_out_samples import Values, predict_samples
 from svu_mi.posterior.judge_prediction import judged
 from svu_mi.posterior.kept_results import pack_test, restore_test
@@ -89,8 +97,10 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
             fold_numbers(folds, len(cameras)), there,
             *_without_folds(posterior, spread, moments, shape),
         )  # fmt: skip
-        around = Surroundings.of(inputs.observed, texels)
-        return FoldTest(spread, judged(samples, around))
+        prediction = judged(samples, Surroundings.of(inputs.observed, texels))
+        if prediction is not None and not prediction.reliable:
+            spread = {name: UNRELIABLE * factor for name, factor in spread.items()}
+        return FoldTest(spread, prediction)
 
 
 def _without_folds(

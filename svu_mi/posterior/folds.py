@@ -13,7 +13,8 @@ parameter, r^2 is the ratio of both sides' sums over a sample of texels and all 
     s <- s sqrt(max(1, a r^2)).
 
 Means stay. a = 1.3 accounts for errors that all sides share (notebooks/design/calibration.md), and
-so does ``blur_error`` of low roughness.
+so does ``blur_error`` of low roughness. If held-out photographs are predicted badly, s is increased
+by a further factor of 1.5, because the error that shows there is seldom the only one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ ENOUGH = 12  # number of views from which s is increased as stated; fewer than 4
 SAMPLE = 800  # number of texels
 MIN_VIEWS = 6  # minimum number of views of a texel
 SHARED = 1.3  # a
+UNRELIABLE = 1.5  # factor of standard deviations if held-out photographs are predicted badly
 BLUR, SHARPEST = 2e-4, 0.1  # radians^2; roughness below which the error of blur is constant
 ROUNDS = 20  # rounds of k-means
 TINY = 1e-9
