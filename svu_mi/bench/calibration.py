@@ -199,12 +199,6 @@ def _narrow(rows: list[Record]) -> float:
     return float((share * held).sum() / max(share.sum(), 1e-9))
 
 
-def _pooled(rows: list[Record]) -> tuple[np.ndarray, np.ndarray]:
-    """Return true and predicted errors of texels of all cases."""
-    return tuple(np.concatenate([row[key] for row in rows])
-                 for key in ("errors", "expected"))  # type: ignore[return-value] # fmt: skip
-
-
 def find_bars(record: Record) -> list[Bar]:
     """Return the bars of a record of ``svu bench calibration``."""
     rows, before = (_rows(record, part) for part in ("default", "before"))
@@ -260,29 +254,34 @@ def _tables(record: Record) -> list[str]:
                digits(1 if key.startswith("psnr") else 2))
         for key, title in SHOWN.items()
     ]  # fmt: skip
-    before = _rows(record, "before")
-    by_parameter = [
-        [name, *(f"{_mean(before, what):.3f} -> {_mean(rows, what):.3f}" for what in
-           (f"crps {key}", f"score {key}", f"interval {key}", f"settled {key}",
-            f"settled {key} holds", f"psnr {key}"))]
-        for key, name in PARAMETERS.items()
-    ]  # fmt: skip
     traced = [[case["cell"], *(f"{case['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
               for case in record["cells"] if "traced" in case["rows"]]  # fmt: skip
-    errors = _pooled(rows)
     return [
         f"At most {JUDGED} texels per case; r, m and c are roughness, metallic and base colour.",
-        tabulate(shown, lines),
-        f"Predicted and true errors of texels of all cases together: Pearson {pearson(*errors):.2f}"
-        f", Spearman {spearman(*errors):.2f}.",
+        tabulate(shown, lines), *_compared(rows, _rows(record, "before")),
+        "Correlation of the entropy with path-traced texels, and of two halves of their samples.",
+        table(("object / light", "entropy", "halves"), traced), *_others(record),
+    ]  # fmt: skip
+
+
+def _compared(rows: list[Record], before: list[Record]) -> list[str]:
+    """Return a table of scores before and now, and correlations of all cases together."""
+    if not before:
+        return []
+    shown = ("crps", "score", "interval", "settled", "settled {} holds", "psnr")
+    keys = [what if "{}" in what else f"{what} {{}}" for what in shown]
+    lines = [
+        [name, *(f"{_mean(before, what.format(key)):.3f} -> {_mean(rows, what.format(key)):.3f}"
+                 for what in keys)]
+        for key, name in PARAMETERS.items()
+    ]  # fmt: skip
+    true, predicted = (np.concatenate([row[key] for row in rows]) for key in ("errors", "expected"))
+    return [
         "Before and after the test by folds and the prior of metals:",
         table(("parameter", "CRPS", "interval score", "90 % intervals with the truth",
-               "intervals within .05", "narrow intervals with the truth", "PSNR (dB)"),
-              by_parameter),
-        "Correlation of the entropy with path-traced texels, and of two halves of their samples.",
-        table(("object / light", "entropy", "halves"), traced),
-        "Photographs that the model does not explain:",
-        tabulate(OTHERS, _variants(record)),
+               "intervals within .05", "narrow intervals with the truth", "PSNR (dB)"), lines),
+        f"Predicted and true errors of all cases together: Pearson {pearson(true, predicted):.2f}, "
+        f"Spearman {spearman(true, predicted):.2f}.",
     ]  # fmt: skip
 
 
@@ -298,21 +297,23 @@ OTHERS = (
 )  # fmt: skip
 
 
-def _variants(record: Record) -> list[Record]:
-    """Return a line for each variant and kind of ball: of the mean, then of each case."""
-    kinds = [*VARIANTS, "dark dielectrics", "real metals"]
+def _others(record: Record) -> list[str]:
+    """Return a table of variants and balls: means of each kind, then its cases."""
     lines: list[Record] = []
+    kinds = [*VARIANTS, "dark dielectrics", "real metals"]
     for kind in kinds:
         if rows := _rows(record, kind):
             keys = [key for key in rows[0] if key.startswith(("interval", "psnr"))]
             lines.append({"cell": f"**mean of {len(rows)}**", "row": kind,
                           **{key: _mean(rows, key) for key in keys}})  # fmt: skip
-    return lines + [
-        {"cell": case["cell"], "row": name, **case["rows"][name]}
-        for name in kinds
+    lines += [
+        {"cell": case["cell"], "row": kind, **case["rows"][kind]}
+        for kind in kinds
         for case in record["cells"]
-        if name in case["rows"]
+        if kind in case["rows"]
     ]
+    return ["Photographs that the model does not explain, and balls of one material:",
+            tabulate(OTHERS, lines)] if lines else []  # fmt: skip
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
