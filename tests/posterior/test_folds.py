@@ -183,8 +183,10 @@ def test_photographs_that_were_left_out_are_predicted(capture, layout, estimates
 
 
 def test_ignored_gains_are_named(capture, layout):
-    found = svu.estimate(with_gains(capture), layout).prediction
+    estimate = svu.estimate(with_gains(capture), layout)
+    found = estimate.prediction
     assert not found.reliable and found.cause == "gains"
+    assert min(estimate.posterior.kernel.spread.values()) >= 1.5  # unreliable
     assert "(--gains estimate)" in found.sentence()
 
 
