@@ -46,7 +46,7 @@ def match_photographs(
 ) -> Match:
     """Find the photographs of sensors in a folder.
 
-    Files are named ``view_0000.*``, ... by the index of their sensor, or by its id. Files with
+    Files are named by the ids of their sensors, or ``view_0000.*``, ... by their index. Files with
     other names are assigned in natural order, if there are as many files as sensors.
     ``any_name=False`` ignores them, because they may be textures.
     """
@@ -58,7 +58,7 @@ def match_photographs(
     pictures = _image_files(folder)
     numbers = [f"{VIEW}{index:04d}" for index in range(len(ids))]
     stems = {path.stem for path in pictures}
-    if not stems.isdisjoint(numbers):
+    if not stems.isdisjoint(numbers) and not stems.issuperset(ids):
         views = [path for path in pictures if path.stem.startswith(VIEW)]
         return _by_name(folder, numbers, views, missing)
     if not stems.isdisjoint(ids):
@@ -158,7 +158,7 @@ def _remedy(folder: Path) -> str:
             f"the folder has no image in a supported format ({count} {suffix}: "
             "convert them to EXR, or to PNG, first)"
         )
-    return "the folder has no image: give the folder of the photographs with --images"
+    return "the folder has no image: give another one with --images, or save the photographs there"
 
 
 def _in_order(

@@ -87,7 +87,7 @@ class Guide(EstimateCommand):
                     capture, estimate, guidance, place, run, up=self.up,
                     pictures=self.pictures,
                 )  # fmt: skip
-        _print(console, estimate, guidance)
+        _print(console, capture, estimate, guidance)
         print_line(console, f"Wrote {self.output}")
         print_line(console, IntervalSummary.of(estimate).summary())
         return 0
@@ -232,18 +232,22 @@ def _read_numbers(path: Path) -> list[Any]:
     return values
 
 
-def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
+def _print(
+    console: Console, capture: Capture, estimate: Estimate, guidance: Guidance
+) -> None:
     """Print the current entropy, and the proposals as a table."""
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False)
-    for head in ("rank", "candidate", "gain", "+-", "entropy", "sees", "new", "name"):
-        table.add_column(head, justify="left" if head == "name" else "right")
-    for rank, proposal in enumerate(guidance.proposals, 1):
+    from svu_mi.output.guidance_page import file_names
+
+    table, names = Table(box=None, pad_edge=False), file_names(capture, guidance)
+    for head in ("rank", "candidate", "gain", "+-", "entropy", "sees", "new", "file"):
+        table.add_column(head, justify="left" if head == "file" else "right")
+    for rank, (proposal, name) in enumerate(zip(guidance.proposals, names, strict=True), 1):
         table.add_row(
             str(rank), str(proposal.candidate),
             *map(format_number, (proposal.gain, proposal.error, proposal.entropy), (4, 4, 3)),
-            f"{proposal.sees:.0%}", f"{proposal.new:.0%}", proposal.name,
+            f"{proposal.sees:.0%}", f"{proposal.new:.0%}", name,
         )  # fmt: skip
     seen = np.array(estimate.coverage) > 0
     words = (

@@ -191,6 +191,9 @@ def read_capture(
             detail=detail,
         )  # fmt: skip
         label, sizes = str(photographs.images or source.scene), plan.sizes(photographs.bytes)
+        if absent := plan.match.paths.count(None):
+            sensors = counted(len(plan.match.paths), "sensor")
+            progress.say(f"{absent} of {sensors} have no photograph.")
         return plan.read(photograph_memory(progress, label, need, sizes))
 
 

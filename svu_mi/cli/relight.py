@@ -118,5 +118,5 @@ class Relight(CaptureCommand, ResultCommand):
         else:
             chosen = distant_views(capture, count=self.views)
             sensors = [capture.sensors[view] for view in chosen]
-            names = [f"view_{view:04d}" for view in chosen]
+            names = [Path(capture.names[view]).stem for view in chosen]
         return [scaled_sensor(one, self.side) for one in sensors], names

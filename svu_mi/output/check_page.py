@@ -28,13 +28,14 @@ from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.io.output_folder import writing
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.prefiltered import rasterized
-from svu_mi.output.html import THUMBNAIL, PageImage, embedded_jpeg, write_page
+from svu_mi.output.html import PageImage, embedded_jpeg, write_page
 from svu_mi.output.object_views import viewing_frame
 from svu_mi.output.run_record import environment_record, write_manifest
 from svu_mi.output.style import AFTER, BEFORE
 
 AXES = ("poses", "light", "texture")  # questions with corrections
 TEMPLATE, RECORD = "check.html", "check.json"
+PICTURE = 400  # pixels of a photograph's longer side, enough to judge its outline
 MOST = 120  # largest number of thumbnails, worst first
 ROWS = 8  # largest number of hypotheses in a table
 LIGHT = (480, 240)  # pixels of a panorama
@@ -140,10 +141,10 @@ def _views(
     capture: Capture, corrected: Capture, check: Check
 ) -> Iterator[tuple[str, PageImage, list[tuple[str, str]]]]:
     """Yield name, outlined picture and measures of each of the worst views."""
-    frames = Thumbnails.of(reduce_photographs(capture, THUMBNAIL))
+    frames = Thumbnails.of(reduce_photographs(capture, PICTURE))
     seen = after = silhouettes(frames)
     if corrected is not capture:
-        after = silhouettes(Thumbnails.of(reduce_photographs(corrected, THUMBNAIL)))
+        after = silhouettes(Thumbnails.of(reduce_photographs(corrected, PICTURE)))
     place = {int(view): index for index, view in enumerate(np.flatnonzero(capture.used))}
     better = {one.view: one for one in check.corrected}
     for one in check.worst[:MOST]:

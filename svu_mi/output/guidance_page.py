@@ -44,6 +44,22 @@ def proposal_views(capture: Capture, guidance: Guidance) -> list[ObjectView]:
     return [ObjectView.at(scene, _enlarged(one.sensor)) for one in guidance.proposals]
 
 
+def file_names(capture: Capture, guidance: Guidance) -> list[str]:
+    """Return file names for the photographs of the proposals.
+
+    Sensors of the capture keep the names of their files; other names continue their numbers.
+    """
+    names, free = [], capture.count
+    for proposal in guidance.proposals:
+        own = [k for k, sensor in enumerate(capture.sensors) if sensor is proposal.sensor]
+        if own:
+            names.append((capture.files or capture.names)[own[0]])
+        else:
+            names.append(f"view_{free:04d}.exr")
+            free += 1
+    return names
+
+
 def write_guidance_overview(
     capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
     looks: Sequence[ObjectView], path: str | Path, up: tuple[float, float, float] = UP,
@@ -54,6 +70,7 @@ def write_guidance_overview(
     the direction map.
     """
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
+    names = [_short_name(Path(name).stem) for name in file_names(capture, guidance)]
     everywhere, empty = fully_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
     scale: Any = {
         "limits": (0, information_gain_limit(maps)),
@@ -61,9 +78,9 @@ def write_guidance_overview(
     }
     first = maps[0] if len(maps) else empty
     sights: list[Panel | None] = [
-        ("", partial(_draw_view, look=look, colors=entropy, words=_short_name(one.name), rank=rank,
+        ("", partial(_draw_view, look=look, colors=entropy, words=name, rank=rank,
                      row="entropy so far" if rank == 1 else ""))
-        for rank, (look, one) in enumerate(zip(looks, shown, strict=False), 1)
+        for rank, (look, name) in enumerate(zip(looks, names[:SHOWN], strict=False), 1)
     ]  # fmt: skip
     sights.append(("", partial(_draw_texture, estimate=estimate, words="entropy, texture space")))
     sights += [

@@ -229,6 +229,11 @@ def _label_directions(axes: Axes, up: np.ndarray) -> None:
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
     axes.set_yticks((0, 0.5), ("-Y", "+Y"))
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
+    across, _ = np.linalg.qr(np.stack([up, *np.eye(3)], axis=1))[0][:, 1:].T
+    turns = np.linspace(0, 2 * np.pi, 721)[:, None]
+    level = np.cos(turns) * across + np.sin(turns) * np.cross(up, across)
+    x, y = np.array([map_place(direction) for direction in level]).T
+    axes.plot(x, y, ",", color="white")
     for name, direction in (("up", up), ("down", -up)):
         x, y = map_place(direction)
         axes.text(

@@ -23,6 +23,7 @@ from svu_mi.core.io.output_folder import writing
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import (
+    file_names,
     information_gain_limit,
     information_gain_pictures,
     proposal_views,
@@ -105,22 +106,6 @@ def plan_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dic
         ],
         "candidates": _candidate_records(guidance),
     }  # fmt: skip
-
-
-def file_names(capture: Capture, guidance: Guidance) -> list[str]:
-    """Return file names for the photographs of the proposals.
-
-    Sensors of the capture keep the names of their files; other names continue their numbers.
-    """
-    names, free = [], capture.count
-    for proposal in guidance.proposals:
-        own = [k for k, sensor in enumerate(capture.sensors) if sensor is proposal.sensor]
-        if own:
-            names.append((capture.files or capture.names)[own[0]])
-        else:
-            names.append(f"view_{free:04d}.exr")
-            free += 1
-    return names
 
 
 def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]) -> None:

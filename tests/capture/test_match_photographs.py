@@ -55,6 +55,14 @@ def test_a_missing_photograph_has_the_suffix_of_the_others(tmp_path):
         match_photographs(tmp_path / "a.png", ["a"])
 
 
+def test_ids_of_all_sensors_go_before_numbers(tmp_path):
+    """Regression: of cam0, cam1 and an included view_0002, only the last one was used."""
+    ids = ["cam0", "cam1", "view_0002", "view_0000"]
+    for name in ids:
+        (tmp_path / f"{name}.png").touch()
+    assert match_photographs(tmp_path, ids).names == [f"{name}.png" for name in ids]
+
+
 def test_missing_photographs_of_an_import_are_counted(nerf, capsys):
     (nerf / "shots" / "DSC_2.exr").unlink()
     (nerf / "shots" / "DSC_3.exr").unlink()
@@ -97,7 +105,8 @@ def test_a_missing_light_is_no_photograph(nerf, capsys):
 @pytest.mark.parametrize(("place", "files", "instead"), [
     ("raw", [f"IMG_{k}.BMP" for k in range(8)], "the folder has no image in a supported format "
      "(8 .BMP: convert them to EXR, or to PNG, first)"),
-    ("raw", [], "the folder has no image: give the folder of the photographs with --images"),
+    ("raw", [], "the folder has no image: give another one with --images, or save the photographs "
+     "there"),
     (".", ["IMG_1.exr"], "no image there has such a name: put the photographs into a separate "
      "folder and give it with --images"),  # where textures may lie, too
 ])  # fmt: skip

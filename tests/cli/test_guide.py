@@ -81,7 +81,7 @@ def test_guide_writes_poses_maps_pictures_and_table(planned):
         rank, candidate, gain = line.split()[:3]
         assert (int(rank), int(candidate)) == (proposal["rank"], proposal["candidate"])
         assert float(gain) == pytest.approx(proposal["gain"], abs=6e-5)
-        assert proposal["name"] in line
+        assert proposal["file"] in line
     assert said[-2] == f"Wrote {folder}"
     pattern = r"\d+ % of the surface area seen, mean entropy 0\.\d\d\. Roughness known to"
     assert re.match(pattern, said[-1])

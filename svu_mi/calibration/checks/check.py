@@ -167,7 +167,7 @@ def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings,
     seen = sample_points(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
     with progress.stage("Testing textures"):
         if texture is None:
-            reason = "The object has no texture, so its V axis has no effect"
+            reason = "The mesh has no texture to compare"
             flip = decisions.unknown("texture", reason)
         else:
             flip = decisions.decide_texture(*texture.fits(seen, points))

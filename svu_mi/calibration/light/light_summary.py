@@ -18,6 +18,7 @@ BLUR = 15.0  # full width at half maximum of the compared lights, in degrees
 DEGREE = 48  # higher degrees are removed by the blur
 POINTS = 2048  # evenly spaced directions
 STANDS_OUT = 2.0  # minimum ratio of the brightest direction to the mean
+NEAR_AXIS = 0.97  # cosine within which a horizontal direction is called by the name of an axis
 NOTED = 0.08  # reported log gain: twice the error with few photographs
 FEWEST = 3  # photographs per quarter needed to detect drift
 OF_MEDIAN = 1.25 * 1.48  # standard error of a median relative to the median deviation
@@ -109,9 +110,10 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
     # Azimuth as in Mitsuba's envmap: from -Z towards +X, if +Y is up.
     ahead, right = _horizon(up)
     azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
+    axes = f"0 is {_nearest_axis(ahead)}, 90 is {_nearest_axis(right)}"
     return (
-        f"Brightest direction: elevation {elevation:.0f} and azimuth {azimuth:.0f} degrees from "
-        f"{_vector(ahead)} through {_vector(right)} ({_vector(toward)} in world space)."
+        f"Brightest direction: {_vector(toward)} in world space, elevation {elevation:.0f} "
+        f"degrees, azimuth {azimuth:.0f} degrees ({axes})."
     )
 
 
@@ -122,7 +124,8 @@ def scale_sentence(estimate: LightEstimate) -> str:
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
         f"light are estimated: {channel_factors(estimate)} (90 % intervals). It is removed by "
-        "--grey-card of svu light, and its part common to all channels by --mean-albedo."
+        "--grey-card of svu light, and its part common to all channels by --mean-albedo. Metals "
+        "may deviate further."
     )
 
 
@@ -194,6 +197,14 @@ def _horizon(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ahead = ahead - (ahead @ up) * up
     ahead /= np.linalg.norm(ahead)
     return ahead, np.cross(ahead, up)
+
+
+def _nearest_axis(direction: np.ndarray) -> str:
+    """Return the world axis next to a direction, such as -Z; the direction if none is near."""
+    axis = int(np.argmax(np.abs(direction)))
+    if abs(direction[axis]) < NEAR_AXIS:
+        return f"({_vector(direction)})"
+    return f"{'-' if direction[axis] < 0 else '+'}{'XYZ'[axis]}"
 
 
 def _vector(direction: np.ndarray) -> str:
