@@ -233,7 +233,7 @@ def _label_directions(axes: Axes, up: np.ndarray) -> None:
     turns = np.linspace(0, 2 * np.pi, 721)[:, None]
     level = np.cos(turns) * across + np.sin(turns) * np.cross(up, across)
     x, y = np.array([map_place(direction) for direction in level]).T
-    axes.plot(x, y, ",", color="white")
+    axes.plot(x, y, ".", color="white", markersize=1.6, markeredgewidth=0)
     for name, direction in (("up", up), ("down", -up)):
         x, y = map_place(direction)
         axes.text(
