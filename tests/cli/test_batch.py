@@ -467,7 +467,7 @@ def test_killed_workers_give_the_same_maps(shelf_of, tmp_path):
     words = ["batch", folder, *SMALL, "--steps", "entropy"]
     assert run(*words, "-o", tmp_path / "one") == 0
     expected = maps(tmp_path / "one")
-    assert len(expected) >= 6
+    assert len(expected) >= 4
 
     out = tmp_path / "killed"
     line = [sys.executable, "-m", "svu_mi", *map(str, words), "--workers", "2", "-o", str(out)]
