@@ -451,7 +451,7 @@ def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, calls
 
 @pytest.mark.slow
 def test_relevant_inputs_change_the_cache_key(capture, layout, tmp_path):
-    def run(capture=capture, subset=20, spp=2, **changes: Any) -> bool:
+    def run(capture=capture, subset=8, spp=2, **changes: Any) -> bool:
         return not traced(capture, layout, subset, spp, cache=tmp_path, **changes).cached
 
     assert run()
@@ -467,7 +467,7 @@ def test_relevant_inputs_change_the_cache_key(capture, layout, tmp_path):
     other = ball_scene(tmp_path, sky(1.5), paint())
     assert run(replace(capture, scene=other, shape=other.shapes()[0]))
     for changes in (
-        {"subset": 21}, {"subset": np.arange(20)}, {"spp": 4}, {"seed": 2}, {"sigma": 0.1},
+        {"subset": 9}, {"subset": np.arange(8)}, {"spp": 4}, {"seed": 2}, {"sigma": 0.1},
         {"grid": PrincipledGrid(3, 3, 2)}, {"method": "brute"}, {"noise": "heteroscedastic"},
         {"noise": "estimated"}, {"noise": "estimated", "grid": PrincipledGrid(3, 3, 2)},
     ):  # fmt: skip

@@ -662,7 +662,7 @@ class TestNextBestView:
     def test_every_strategy_reports_its_results(self, sunny, estimated):
         capture, _ = sunny
         estimate = estimated(0, 1, 2)
-        around = svu.Candidates.around(capture)
+        around = svu.Candidates.around(capture, 40)
         final = {}
         for strategy in STRATEGIES:
             guidance = svu.next_best_view(estimate, around, count=4, strategy=strategy)
@@ -864,11 +864,11 @@ class TestNextBestView:
     def test_gains_grow_by_less_than_is_allowed_for(self, views):
         """The vase under an overcast sky: where they grew most among our own scenes."""
         capture = svu.render_capture(
-            scenes.path("vase"), 8, views=views, resolution=(192, 192),
+            scenes.path("vase"), 8, views=views, resolution=(96, 96),
             defines={"light": "overcast"},
         )  # fmt: skip
-        estimate = svu.estimate(capture, svu.texels(capture.mesh, 64))
-        around = svu.Candidates.around(capture, 40)
+        estimate = svu.estimate(capture, svu.texels(capture.mesh, 32))
+        around = svu.Candidates.around(capture, 24)
         known = inputs_of(estimate, around, lazy=False).greedy
         gains, order = [], []
         for _ in range(4):

@@ -27,10 +27,10 @@ from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import CaptureError, MeshError
 
 SEED = 60318
-FEW, MANY = 500, 4000  # damaged files
+FEW, MANY = 500, 1500  # damaged files
 ENOUGH = 40  # variants of a format of which some must be read, and some refused
 LIMIT = 1.5 * 2**30  # bytes that the whole process may have had in use
-MEMORY = Path("/dev/shm")  # a file system in memory, where there is one: 4000 files are written
+MEMORY = Path("/dev/shm")  # a file system in memory, where there is one: 1500 files are written
 
 
 @pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
