@@ -19,9 +19,8 @@ import re
 import secrets
 import shutil
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +57,10 @@ class Claim(os.PathLike[str]):
     def __fspath__(self) -> str:
         return str(self.folder)
 
-    def clear(self, keep: Callable[[Path], bool] | None = None) -> None:
-        """Remove all files from the draft, except those for which ``keep`` returns True."""
+    def clear(self) -> None:
+        """Remove all files from the draft."""
         for path in list(self.draft.iterdir()) if self.draft.is_dir() else ():
-            if keep is None or not keep(path):
-                _remove(path)
+            _remove(path)
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ class Draft:
 
 @contextlib.contextmanager
 def claimed(
-    folder: str | os.PathLike[str], command: str, *, overwrite: bool = False, keep: str = ""
+    folder: str | os.PathLike[str], command: str, *, overwrite: bool = False
 ) -> Iterator[Claim]:
     """Reserve a result folder for one command until its result is complete.
 
@@ -99,7 +97,6 @@ def claimed(
         folder: path of the result folder; its parents are created. If it is a claim, it is yielded.
         command: name of the command, such as ``entropy``.
         overwrite: True to accept a folder with other files, which is kept as ``NAME.before``.
-        keep: name pattern of files in the draft that stay after a failed run, to resume it.
 
     Raises:
         OutputError: the folder is not writable, contains files that are not an older result of
@@ -111,9 +108,6 @@ def claimed(
     shown, target = Path(folder), Path(os.path.realpath(folder))
     _require_exchangeable(shown, target)
 
-    def is_needed(path: Path) -> bool:
-        return fnmatch(path.name, keep)
-
     absent = [parent for parent in target.parents if not parent.exists()]
     try:
         _prepare_parent(shown, target)
@@ -124,13 +118,13 @@ def claimed(
                 raise _occupied(shown, f"contains other files: {reason}")
             claim = Claim(shown, target, draft, command)
             _move_kept(draft, target)
-            claim.clear(is_needed)
+            claim.clear()
             own = draft.lstat()
             try:
                 yield claim
             finally:
                 if is_at(own, draft):  # no result was written
-                    claim.clear(is_needed)
+                    claim.clear()
     finally:
         for parent in absent:  # rmdir fails if it contains a file
             with contextlib.suppress(OSError):
@@ -139,7 +133,7 @@ def claimed(
 
 @contextlib.contextmanager
 def writing(
-    folder: str | os.PathLike[str], command: str, record: str, *, capture: str = "", run: str = ""
+    folder: str | os.PathLike[str], command: str, record: str, *, capture: str = ""
 ) -> Iterator[Draft]:
     """Yield a draft that becomes the result folder if the block succeeds.
 
@@ -148,12 +142,11 @@ def writing(
         command: name of the command, such as ``entropy``.
         record: name of the JSON file that the block writes last, with ``draft.entries()``.
         capture: key of the capture; empty without one.
-        run: id of the run; random by default.
 
     Raises:
         OutputError: an error of ``claimed``, or a file cannot be written.
     """
-    run = run or secrets.token_hex(8)
+    run = secrets.token_hex(8)
     with claimed(folder, command) as claim:
         marks = {RUN: run, CAPTURE: capture} if capture else {RUN: run}
         try:
