@@ -73,7 +73,7 @@ class Conversion(ImportOptions):
 class Import(BaseCommand):
     """Convert a capture of another tool to a capture folder.
 
-    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Meshroom, poses_bounds.npy (LLFF),
+    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Meshroom,
     cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting. Writes scene.xml with
     mesh and light, linear EXR photographs with masks, and capture.json. Next: svu check.
     """

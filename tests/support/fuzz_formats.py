@@ -316,14 +316,6 @@ def _alicevision(folder: Path) -> None:
     (folder / "cameras.sfm").write_text(json.dumps(record))
 
 
-def _llff(folder: Path) -> None:
-    for name in ("images/view_0000.png", "images/view_0001.png", "masks/view_0000.png"):
-        (folder / name).parent.mkdir(exist_ok=True)
-        write_integers(folder, name, "RGB")
-    matrix = np.array([[0, 1, 0, 1, HEIGHT], [-1, 0, 0, 2, WIDTH], [0, 0, 1, 3, 20]], np.float64)
-    np.save(folder / "poses_bounds.npy", [[*matrix.ravel(), 1, 9]] * 2)
-
-
 def _idr(folder: Path) -> None:
     for name in ("image/0.png", "image/1.png", "mask/0.png", "mask/1.png"):
         (folder / name).parent.mkdir(exist_ok=True)
@@ -437,7 +429,7 @@ def _all_formats() -> Iterator[Format]:
         ("colmap-binary", _colmap, "*.bin", "."),
         ("colmap-text", partial(_colmap, text=True), "*.txt", "."), ("owl", _owl, "*.txt", "test"),
         ("alicevision", _alicevision, "*.sfm", "."),
-        ("llff", _llff, "*.npy", "."), ("idr", _idr, "*.npz", "."),
+        ("idr", _idr, "*.npz", "."),
         ("orb", _orb, "*_t*.json", "blender_HDR/ball_scene001"),
     ):  # fmt: skip
         read = partial(source, place=place)
