@@ -42,7 +42,8 @@ LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
     "gain": "Gain of the photographs", "saturation": "Saturated pixels",
-    "ignored": "Ignored effects", "number": "Number of photographs",
+    "sources": "Sources of the light", "ignored": "Ignored effects",
+    "number": "Number of photographs",
 }  # fmt: skip
 # Attributes of ViewCheck and Summary: title of their mean, explanation, short label.
 MEASURES = {

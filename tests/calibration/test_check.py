@@ -20,7 +20,7 @@ from support.written import write
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.spoiled_captures import foreign_mesh
+from svu_mi.bench.spoiled_captures import foreign_mesh, on_table
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
 from svu_mi.calibration.checks.check import find_axis_mistakes
 from svu_mi.calibration.checks.decisions import (
@@ -539,7 +539,8 @@ def test_what_is_ignored_has_the_last_word(capture):
     )
     scene = make_scene([capture.shape, table, *capture.scene.emitters()])
     result = svu.check(replace(capture, scene=scene))
-    unsupported = result.findings[-1]
+    *_, sources, unsupported = result.findings
+    assert "from shape `table`" in sources.sentence
     assert (unsupported.question, unsupported.verdict, result.fits) == ("ignored", "note", True)
     assert unsupported.sentence.startswith("Light reflected by 'table' falls on")
     assert verdict(result) == (
@@ -553,7 +554,7 @@ def test_what_is_ignored_has_the_last_word(capture):
         verdict(unsure)
         == "Axes fit, but results may be wrong for another reason: gain of the photographs."
     )
-    assert svu.check(capture).findings[-1].question == "gain"
+    assert svu.check(capture).findings[-2].question == "gain"
 
 
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
@@ -658,3 +659,15 @@ def test_the_size_of_another_world_is_named(capture):
     before = np.array(small.shape.bbox().center())
     np.testing.assert_allclose(found.after, 4.35 * before + [0.3, -0.2, 0.1], atol=0.15)
     assert fit_masks(reduce_photographs(without_masks(small), 64)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
+def test_a_table_that_is_missing_in_the_scene_is_named():
+    """Photographs from above, of a vase on a white table and of one in space."""
+    path, lit_by = scenes.path("vase"), {"light": "window", "max_depth": "2"}
+    alone = svu.render_capture(path, 16, views=24, resolution=(64, 64), defines=lit_by)
+    for capture, said in ((alone, "note"), (on_table(alone, (0.8, 0.8, 0.8), 16), "unclear")):
+        (found,) = [one for one in svu.check(capture).findings if one.question == "sources"]
+        assert found.verdict == said
+        assert ("--table 0" in found.sentence) == (said == "unclear")

@@ -13,6 +13,7 @@ from svu_mi.calibration.checks import decisions, exposure_checks
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
 from svu_mi.calibration.checks.check_result import Check, Finding
 from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
+from svu_mi.calibration.checks.light_sources import light_shares, sentence
 from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity, fit_masks
 from svu_mi.calibration.checks.moved_meshes import Advantage
 from svu_mi.calibration.checks.pose_scores import check_views, score_poses
@@ -47,11 +48,16 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.scene import require_variant, to_world
+from svu_mi.capture.surroundings import other_shapes
+from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
+from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
+from svu_mi.pipeline import estimate
 
 SIDE = 128  # maximum side of the compared photographs in pixels
+TEXELS = 48  # texels per side to test light from below
 VIEWS = 40  # maximum number of views for comparing colours
 Findings = tuple[Finding, Finding, Finding]  # of poses, light and texture
 
@@ -94,7 +100,11 @@ def check(
     else:
         gain = _gain_finding(capture, small, gains)
     over = () if _axes_are_off(axial) else _saturated(capture, small)
-    findings = (*axial, gain, *_too_few(capture), *over, *_ignored(capture))
+    sources = () if _axes_are_off(axial) else _sources(capture, small)
+    if axial[1].verdict == "fits" and _may_stand_on_something(capture):
+        with progress.stage("Testing light from below"):
+            sources = _missing(small, exposure_checks.unit_of(capture, small)) or sources
+    findings = (*axial, gain, *_too_few(capture), *over, *sources, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
@@ -260,6 +270,44 @@ def _saturated(capture: Capture, small: Capture) -> tuple[Finding, ...]:
     if sentence is None:
         return ()
     return (Finding(question="saturation", verdict="unclear", sentence=sentence),)
+
+
+def _sources(capture: Capture, small: Capture) -> tuple[Finding, ...]:
+    """Return a note on the sources of the light, or an empty tuple without a light."""
+    if capture.flash is not None or not capture.scene.emitters():
+        return ()
+    points = scatter_points(small.shape)
+    shown, known = sample_points(points, Thumbnails.of(small)).typical()
+    shown *= np.where(known, exposure_checks.unit_of(capture, small), np.nan)[:, None]
+    shares = light_shares(capture, points, shown)
+    return (Finding(question="sources", verdict="note", sentence=sentence(shares)),)
+
+
+def _may_stand_on_something(capture: Capture) -> bool:
+    """Return whether the scene has no other shape, and no camera is below the object."""
+    poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
+    up = up_of_poses(poses)
+    lowest = (arrays(capture.shape).positions @ up).min()
+    alone = not other_shapes(capture.scene, capture.shape)
+    return alone and bool((poses[:, :3, 3] @ up > lowest).all())
+
+
+def _missing(small: Capture, unit: float) -> tuple[Finding, ...]:
+    """Return a finding if the photographs contain light from a missing shape below the object."""
+    small = limit_views(small, VIEWS)
+    images = tuple(image * np.float32(unit) for image in small.images)
+    try:
+        found = estimate(replace(small, images=images), texels(small.mesh, TEXELS)).prediction
+    except SvuError:  # such as photographs without any texel
+        return ()
+    if found is None or found.cause != "surroundings":
+        return ()
+    sentence = (
+        "A shape that touches the lowest points of the object seems to be missing, such as a "
+        "table: it shades the object or is mirrored in it. Add it to the scene, or import again "
+        "with --table 0 --table-albedo A."
+    )
+    return (Finding(question="sources", verdict="unclear", sentence=sentence),)
 
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
