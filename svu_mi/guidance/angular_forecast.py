@@ -50,12 +50,13 @@ def respond(scene: Any, model: ReflectionModel) -> ResponseFunction:
     """Return a function that evaluates the reflectance columns of a view."""
     surface = model.surface
 
-    def evaluate(seen: ViewSample) -> list[Any]:
+    def evaluate(seen: ViewSample, view: Any) -> list[Any]:
         free = mi.Bool(True)
         if model.reads_mirrors:
             free = trace_mirror(scene, surface, seen, seen.seen)
-        columns_by_level = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
-        return [value for level in columns_by_level for lobe in level for value in lobe]
+        cosine = dr.maximum(seen.cosine, GRAZING)
+        levels = model.columns(seen.direction, cosine, free, view)
+        return [value for level in levels for lobe in level for value in lobe]
 
     return evaluate
 

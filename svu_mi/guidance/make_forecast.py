@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -38,9 +38,10 @@ DrawFunction = Callable[[np.ndarray, np.ndarray], Hypotheses]
 
 
 def forecast_of(
-    estimate: Estimate, texels: np.ndarray, candidates: Views, options: GuidanceOptions
-) -> Forecast:
-    """Return the forecast of ``texels`` for candidate views."""
+    estimate: Estimate, texels: np.ndarray, candidates: Views, options: GuidanceOptions,
+    sensors: Sequence[Any],
+) -> Forecast:  # fmt: skip
+    """Return the forecast of ``texels`` for candidate views with ``sensors``."""
     options = options.resolved(estimate.preset)
     require_band_limit(estimate.method, options)
     observed = observations_of(estimate, None)
@@ -62,12 +63,14 @@ def forecast_of(
             return known
         return _growing_forecast(known, estimate.posterior, observed, texels, collect)
     assert isinstance(estimate.posterior.kernel, CalibratedKernel | AngularKernel)
-    return _angular_forecast(estimate.posterior, estimate.switches, observed, texels, collect, draw)
+    return _angular_forecast(
+        estimate.posterior, estimate.switches, observed, texels, collect, draw, sensors
+    )
 
 
 def _angular_forecast(
     posterior: Posterior[CalibratedKernel | AngularKernel], switches: AnyPreset, observed: Observed,
-    texels: np.ndarray, collect: CollectFunction, draw: DrawFunction,
+    texels: np.ndarray, collect: CollectFunction, draw: DrawFunction, sensors: Sequence[Any],
 ) -> AngularForecast:  # fmt: skip
     """Return a forecast with the energies of the angular estimate."""
     grid, by_nodes = posterior.grid, isinstance(posterior.kernel, AngularKernel)
@@ -95,8 +98,10 @@ def _angular_forecast(
         )
     channels = posterior.kernel.problem.factors.channels
     # Grey light: one lobe serves all channels.
-    lobes = 1 if observed.lighting.environment.grey else channels
+    lobes = 1 if observed.grey_light(switches) else channels
     model = observed.model(grid.roughness_nodes, switches, lobes, texels)
+    if model.flash is not None:
+        model = model.with_flash(observed.flash_of(sensors))
     responses = collect(
         model.surface, angular_forecast.respond(observed.views.scene, model),
         angular_forecast.columns(grid.shape[0], lobes),

@@ -21,8 +21,8 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, over_views, sample_visible
 from svu_mi.geometry.visibility import Visibility
 
-ResponseFunction = Callable[[ViewSample], list[Any]]
-"""Sample per lane -> columns (Floats) after the first. The first is the cosine of the view."""
+ResponseFunction = Callable[[ViewSample, Any], list[Any]]
+"""Sample per lane, index of the view -> columns (Floats) after the first, the view's cosine."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def collect_responses(
 
     def record(seen: ViewSample, view: Any) -> tuple[()]:
         def write() -> tuple[()]:
-            responses.write(view, respond(seen), seen.seen)
+            responses.write(view, respond(seen, view), seen.seen)
             return ()
 
         return dr.if_stmt(args=(), cond=seen.seen, true_fn=write, false_fn=lambda: ())

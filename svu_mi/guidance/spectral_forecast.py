@@ -50,7 +50,7 @@ def respond(
     """Return a function that evaluates the mirrored light of a view: a row of Eq. 12."""
     dr.eval(lighting.filtered)  # textures cannot be created inside a recorded loop
 
-    def evaluate(seen: ViewSample) -> list[Any]:
+    def evaluate(seen: ViewSample, _: Any) -> list[Any]:
         free = seen.seen
         if switches.occluded:
             free = trace_mirror(scene, surface, seen, seen.seen)

@@ -70,7 +70,9 @@ class StrategyInputs:
     @cached_property
     def forecast(self) -> Forecast:
         """Forecast of the entropy with a photograph from any candidate."""
-        return forecast_of(self.estimate, self.texels, self._packed, self.options)
+        return forecast_of(
+            self.estimate, self.texels, self._packed, self.options, self.candidates.sensors
+        )
 
     @cached_property
     def greedy(self) -> GreedyScorer:

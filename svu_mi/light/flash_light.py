@@ -10,11 +10,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.capture import Capture, Flash
+from svu_mi.capture.capture import Flash
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
-from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.lamps import END
 from svu_mi.light.light_visibility import SampleBits
 
@@ -41,20 +40,22 @@ class FlashLight:
     """Flash of all views.
 
     Attributes:
-        position: (N,) Point3f, place of the lamp by slot (``Visibility.order``).
+        position: (N,) Point3f, place of the lamp by slot.
         intensity: Radiant intensity R, G and B, Floats.
-        lit: samples on which it shines; None: all.
+        lit: samples on which it shines, by slots of ``Visibility.order``; None: all.
+        scene: Scene in which shadows are traced instead; None: none are.
     """
 
     position: Any
     intensity: Any
     lit: SampleBits | None = None
+    scene: Any = None
 
     @staticmethod
-    def of(flash: Flash, capture: Capture, visibility: Visibility) -> FlashLight:
-        """Place the flash of each view."""
-        poses = np.stack([to_world(sensor) for sensor in capture.used_sensors])
-        position = (poses @ np.append(flash.position, 1))[visibility.order.numpy(), :3]
+    def of(flash: Flash, sensors: Sequence[Any]) -> FlashLight:
+        """Place the flash of each sensor, whose index is its slot."""
+        poses = np.stack([to_world(sensor) for sensor in sensors])
+        position = (poses @ np.append(flash.position, 1))[:, :3]
         return FlashLight(
             to_drjit(mi.Point3f, position.T.astype(np.float32)),
             [dr.opaque(mi.Float, x) for x in flash.intensity],
@@ -68,13 +69,18 @@ class FlashLight:
         free = dr.dot(surface.geometric_normal, direction) > 0
         if self.lit is not None:
             free &= self.lit.test(slot, surface.index)
+        if self.scene is not None:
+            free &= self._is_free(self.scene, surface, slot, free)
         return FlashCell(direction, [dr.select(free, x / square, 0) for x in self.intensity])
 
     def trace(
         self, scene: Any, surface: TexelLanes, seen: ViewSample, slot: Any, active: Any
     ) -> Any:
         """Return whether nothing hides the flash of visible samples."""
+        return seen.seen & self._is_free(scene, surface, slot, active)
+
+    def _is_free(self, scene: Any, surface: TexelLanes, slot: Any, active: Any) -> Any:
         origin = surface.position + surface.offset * surface.geometric_normal
         way = dr.gather(mi.Point3f, self.position, slot) - origin
         ray = mi.Ray3f(origin, mi.Vector3f(way), 1 - END, 0.0, [])
-        return seen.seen & ~scene.ray_test(ray, coherent=True, active=active)
+        return ~scene.ray_test(ray, coherent=True, active=active)

@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
-from svu_mi.capture.scene import environment_of, lamps_of, require_light
+from svu_mi.capture.scene import environment_of, has_lamps, lamps_of, require_light
 from svu_mi.capture.surroundings import (
     Appearance,
     mean_reflectance,
@@ -190,10 +190,17 @@ class Observed:
         """Flash and its shadows, traced on first use; None without one."""
         if self.capture.flash is None:
             return None
-        light = FlashLight.of(self.capture.flash, self.capture, self.visibility)
+        order = self.visibility.order.numpy()
+        light = FlashLight.of(self.capture.flash, [self.capture.used_sensors[k] for k in order])
         return replace(
             light, lit=self._traced("flash", partial(light.trace, self.views.scene, self.surface))
         )
+
+    def flash_of(self, sensors: Sequence[Any]) -> FlashLight:
+        """Return the flash of the photographs, then of other sensors; its shadows are traced."""
+        assert self.capture.flash is not None
+        light = FlashLight.of(self.capture.flash, [*self.capture.used_sensors, *sensors])
+        return replace(light, scene=self.views.scene)
 
     def _traced(self, name: str, trace: Callable[[ViewSample, Any, Any], Any]) -> SampleBits:
         if name not in self._rays:
@@ -253,6 +260,11 @@ class Observed:
         if not isinstance(switches, AngularPreset) or not switches.with_surfaces:
             return False
         return switches.bounces or self._has_reflectors
+
+    def grey_light(self, switches: AnyPreset) -> bool:
+        """Return whether R, G and B of the light are equal; other light than distant is not."""
+        lit = self.lit_by_surfaces(switches) or has_lamps(self.capture)
+        return self.distant_light.environment.grey and not lit
 
     def _trace_near_light(self, switches: AngularPreset, surface: TexelLanes) -> NearLight:
         if switches.bounces and self.capture.flash is not None:

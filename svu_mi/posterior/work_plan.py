@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.replace_material import constant_parameters
-from svu_mi.capture.scene import has_lamps
 from svu_mi.errors import OptionError
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
@@ -49,9 +48,7 @@ def make_plan(
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
     """Return the plan and log skipped work; ``prior`` are ``log_prior`` tables."""
-    grey_light = skip.channels and switches.colors == 3 and observed.distant_light.environment.grey
-    lit = observed.lit_by_surfaces(switches) or has_lamps(observed.capture)
-    grey_light = grey_light and not lit
+    grey_light = skip.channels and switches.colors == 3 and observed.grey_light(switches)
     # Grey photographs under coloured light need all three channels.
     grey = grey_light and observed.views.grey
     levels = np.ones(grid.shape[0], bool)

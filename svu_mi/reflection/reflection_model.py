@@ -6,7 +6,7 @@ light, wide lobes sum light cells. ``fast`` has no wide lobes; ``paper`` uses sp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import drjit as dr
@@ -111,6 +111,11 @@ class ReflectionModel:
         return ReflectionModel(
             roughness, surface, switches, narrow, wide, fitted, moments, near, lamps, flash
         )
+
+    def with_flash(self, light: FlashLight) -> ReflectionModel:
+        """Return the model with the flash of other views."""
+        assert self.flash is not None
+        return replace(self, flash=replace(self.flash, light=light))
 
     @property
     def channels(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from light.test_lamps import scene_of
 from light.test_near_light import texel_facing
-from support.helpers import memory_capture, unit, write_ball
+from support.helpers import memory_capture, require_equal_columns, unit, write_ball
 
 import svu_mi as svu
 from svu_mi.capture.capture import Flash
@@ -71,7 +71,7 @@ def test_a_flash_has_its_place_in_the_frame_of_each_camera(flashed):
     """Direction and irradiance I / r^2, and no light from behind."""
     observed = observe(flashed, svu.texels(flashed.mesh, 8))
     surface = texel_facing([[0, 0, 1], [0, 0, -1]])
-    light = FlashLight.of(FLASH, flashed, observed.visibility)
+    light = FlashLight.of(FLASH, [flashed.sensors[k] for k in observed.visibility.order.numpy()])
     for slot, view in list(enumerate(observed.visibility.order.numpy()))[:5]:
         place = np.array(mi.traverse(lamp_of(flashed.sensors[view]))["position"]).ravel()
         cell = light.seen_from(surface, mi.UInt32(slot))
@@ -157,6 +157,10 @@ def test_an_object_is_measured_by_flash_only(flashed):
     assert np.quantile(np.abs(color / COLOR - 1), 0.9) < 0.1
     roughness = np.array(estimate.posterior.mean("roughness"))[seen]
     assert np.median(roughness) == pytest.approx(0.75, abs=0.03)
+
+
+def test_a_flash_moves_with_the_candidates(flashed):
+    require_equal_columns(flashed)
 
 
 def test_what_supports_no_flash_says_so(flashed):

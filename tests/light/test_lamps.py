@@ -7,7 +7,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from light.test_near_light import texel_facing
-from support.helpers import memory_capture, render_views, unit, write_ball
+from support.helpers import (
+    memory_capture,
+    render_views,
+    require_equal_columns,
+    unit,
+    write_ball,
+)
 
 import svu_mi as svu
 from svu_mi.capture import scene_xml
@@ -158,6 +164,10 @@ def test_an_object_is_measured_under_lamps(lit_ball):
     np.testing.assert_allclose(mean, [0.5, 0.3, 0.2], rtol=0.1)
     roughness = np.array(estimate.posterior.mean("roughness"))[lit].mean()
     assert roughness == pytest.approx(0.4, abs=0.08)
+
+
+def test_forecasts_contain_lamps(lit_ball):
+    require_equal_columns(lit_ball)
 
 
 def test_what_supports_no_lamps_says_so(lit_ball):

@@ -103,7 +103,9 @@ def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, mo
     estimate = svu.estimate(capture, layout)
     packed = pack_sensors(capture.scene, capture.shape, capture.sensors[:2])
     calls.clear()
-    forecast_of(estimate, estimate.observed.seen[::3], packed, GuidanceOptions(hypotheses=4))
+    forecast_of(
+        estimate, estimate.observed.seen[::3], packed, GuidanceOptions(hypotheses=4), ()
+    )
     assert not calls
 
 

@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 from PIL import Image
 
+import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.capture import mesh as capture_mesh
@@ -250,6 +251,18 @@ def memory_capture(scene: Any, images: list[np.ndarray], sensors: Any, **changes
         "unusable": (0,) * count, "used": (True,) * count, **changes,
     }  # fmt: skip
     return Capture(**fields)
+
+
+def require_equal_columns(capture: Capture) -> None:
+    """A candidate at the place of a photograph has its columns, with lamps and their shadows."""
+    estimate = svu.estimate(capture, svu.texels(capture.mesh, 12), preset="fixed")
+    guidance = svu.next_best_view(estimate, capture.sensors, 1, texels=10**4)
+    table = guidance._inputs.forecast.responses.table()
+    photographed, candidate = np.split(table, 2)
+    assert photographed[..., 1:].max() > 0.1
+    both = (photographed[..., 0] > 0) & (candidate[..., 0] > 0)
+    assert both.sum() > 0.9 * (candidate[..., 0] > 0).sum()
+    np.testing.assert_allclose(photographed[both], candidate[both], rtol=1e-3, atol=1e-4)
 
 
 def ball_scene(tmp_path: Path, emitter: dict[str, Any], bsdf: dict[str, Any]) -> Any:
