@@ -44,6 +44,7 @@ from svu_mi.calibration.checks.surface_samples import (
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs, silhouettes
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.capture import Flash
 from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
 from svu_mi.capture.importers.mesh_files import LEFT_OUT
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, OPENCV, OPENGL
@@ -671,3 +672,15 @@ def test_a_table_that_is_missing_in_the_scene_is_named():
         (found,) = [one for one in svu.check(capture).findings if one.question == "sources"]
         assert found.verdict == said
         assert ("--table 0" in found.sentence) == (said == "unclear")
+
+
+def test_lamps_are_listed_and_not_tested(capture):
+    lamp = mi.load_dict({"type": "point", "id": "bulb", "position": [0, 5, 0], "intensity": 900.0})
+    scene = make_scene([capture.shape, *capture.scene.emitters(), lamp])
+    flashed = replace(capture, flash=Flash((0, 0, 0), (1, 1, 1)))
+    for lit in (replace(capture, scene=scene), flashed):
+        said = {one.question: one for one in svu.check(lit).findings}
+        assert said["light"].verdict == said["gain"].verdict == "unknown"
+        assert "light of lamps is not tested" in said["light"].sentence
+        if lit is not flashed:
+            assert "from lamp `bulb`" in said["sources"].sentence

@@ -28,6 +28,7 @@ from svu_mi.calibration.checks.surface_samples import (
     read_texture,
     sample_points,
     scatter_points,
+    without_emitter,
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
 from svu_mi.calibration.light.light_estimate import FoundGains
@@ -47,7 +48,7 @@ from svu_mi.capture.load_warnings import (
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import is_same
-from svu_mi.capture.scene import require_variant, to_world
+from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
 from svu_mi.capture.surroundings import other_shapes
 from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.progress import Progress
@@ -184,7 +185,7 @@ def _find_axis_mistakes(capture: Capture, progress: Progress) -> tuple[Findings,
             texture = texture.turned() if flip.verdict == "wrong" else texture
     emitter = emitter_of(capture)
     if emitter is None:
-        return (poses, decisions.unknown("light", "the capture has no light"), flip), axes
+        return (poses, decisions.unknown("light", without_emitter(capture)), flip), axes
     cosines = open_cosines(capture.scene, points, DIRECTIONS)
     if is_constant(emitter):
         light = decisions.decide_constant_light(normal_dependence(points, seen, cosines))
@@ -240,7 +241,9 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
         few = too_few_for_light(sum(capture.used)) is not None
         otherwise = "take more photographs" if few else "use --gains estimate"
         advice = "nothing is to be done" if recorded else otherwise
-        return decisions.unknown("gain", f"{known}the capture has no light; {advice}")
+        if has_lamps(capture):
+            advice = "their gains have to be known"
+        return decisions.unknown("gain", f"{known}{without_emitter(capture)}; {advice}")
     if _axes_are_off(axial):
         return decisions.unknown("gain", "cameras, mesh and light must fit first")
     sightings, points, arriving = _samples_and_light(small, emitter)
@@ -258,7 +261,7 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
 def _too_few(capture: Capture) -> tuple[Finding, ...]:
     """Return a finding if there are too few photographs to estimate a light, or an empty tuple."""
     sentence = too_few_for_light(sum(capture.used))
-    if sentence is None or emitter_of(capture) is not None:
+    if sentence is None or is_lit(capture):
         return ()
     return (Finding(question="number", verdict="unclear", sentence=sentence),)
 

@@ -14,7 +14,7 @@ import scipy
 from svu_mi.calibration.checks.thumbnails import Thumbnails, tonemapped
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
-from svu_mi.capture.scene import environment_of, is_lit
+from svu_mi.capture.scene import environment_of, has_lamps, is_lit
 from svu_mi.core.arrays import evenly_spaced, fibonacci, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, sample_view
 from svu_mi.light.band_limited import band_limited_lighting, look_up
@@ -294,8 +294,13 @@ def read_cells(cells: LightCells) -> tuple[np.ndarray, np.ndarray]:
 
 
 def emitter_of(capture: Capture) -> Any:
-    """Return the environment emitter of a capture; None if it has no light."""
-    return environment_of(capture) if is_lit(capture) else None
+    """Return the environment emitter of a capture; None without light, and if lamps add light."""
+    return environment_of(capture) if is_lit(capture) and not has_lamps(capture) else None
+
+
+def without_emitter(capture: Capture) -> str:
+    """Return the reason why ``emitter_of`` is None."""
+    return "light of lamps is not tested" if has_lamps(capture) else "the capture has no light"
 
 
 def is_constant(emitter: Any) -> bool:
