@@ -33,6 +33,7 @@ GROUPS = {
     "source": "reading undistort",
     "mesh": "mesh mesh-up world-up mesh-scale geometry-only",
     "table": "table table-albedo",
+    "flash": "flash flash-intensity",
     "light": "light environment environment-axes environment-scale environment-view light-scale",
     "estimate": "method preset known bounces skip",
     "choice of views": "lowest up distance reachable unreachable guidance",

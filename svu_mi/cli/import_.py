@@ -34,6 +34,8 @@ From = Annotated[Path, Positional, arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, arg(metavar="FILE | exif | none | estimate")]
 Mesh = Annotated[str | Path | None, arg(metavar="FILE")]
 Curve = Annotated[Path | None, arg(metavar="FILE")]
+Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
+Color = Annotated[tuple[float, float, float], arg(metavar="R G B")]
 Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction]
 
 
@@ -64,6 +66,8 @@ class Conversion(ImportOptions):
     environment: Annotated[Light | None, arg(constructor=_light)] = None
     faces: Count = None
     table: Number = None
+    flash: Place = None
+    flash_intensity: Color = (1.0, 1.0, 1.0)
     exposures: Gains = None
     response: Curve = None
     fixes: Fixes = ()

@@ -16,6 +16,7 @@ import numpy as np
 
 from svu_mi.capture import capture_folder, scene_xml
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.capture import Flash
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import ImageFile, open_image
 from svu_mi.capture.importers.axis_fixes import (
@@ -151,7 +152,7 @@ class ImportPlan:
             sensors = [frame.sensor(_clip_planes(frame, geometry.mesh)) for frame in squares]
             table = self._table(geometry.mesh, sensors)
             notes += _write_scene(draft.folder, geometry, light, [*table, *_sensors(sensors)])
-            if light is None:
+            if light is None and options.flash is None:
                 seen = sum(not photograph.empty for photograph in views)
                 notes.append(too_few_for_light(seen) or NO_LIGHT)
             imported = {
@@ -163,6 +164,7 @@ class ImportPlan:
             description = Description(
                 scene=draft.folder / SCENE, shape=OBJECT, imported=imported,
                 exposures=[frame.exposure for frame in squares] if self.exposures_known else [],
+                flash=options.flash and Flash(options.flash, options.flash_intensity),
             )  # fmt: skip
             capture_folder.write(draft, description, sensors)
         return Imported(notes, scale)

@@ -80,6 +80,12 @@ class ImportOptions:
     stands on it. "Up" is ``world_up``, else that of the cameras. Default: no table."""
     table_albedo: float = 0.5
     """Reflectance of the table, in [0, 1]; 0 is a black table, which only hides light."""
+    flash: tuple[float, float, float] | None = None
+    """Place of a lamp that is fixed to the camera: left of, above and in front of the lens, in the
+    unit of the poses. Default: no flash."""
+    flash_intensity: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Radiant intensity of the flash, R, G and B, above 0: irradiance x distance^2 on a surface
+    that faces it."""
     environment: Light | None = None
     """Environment map (default: the map of the source, else no light)."""
     exposures: str | Path | None = None
@@ -110,6 +116,10 @@ class ImportOptions:
             raise OptionError(f"--table must be a finite number, got {self.table}.")
         if not 0 <= self.table_albedo <= 1:
             raise OptionError(f"--table-albedo must be in [0, 1], got {self.table_albedo}.")
+        if self.flash is not None and not np.isfinite(self.flash).all():
+            raise OptionError(f"--flash must be three finite numbers, got {self.flash}.")
+        if not all(0 < value < np.inf for value in self.flash_intensity):
+            raise OptionError(f"--flash-intensity must be positive, got {self.flash_intensity}.")
         if self.missing not in ("refuse", "leave-out"):
             raise OptionError(f"--missing must be refuse or leave-out, got {self.missing!r}.")
         if not 0 < self.mesh_scale < np.inf:

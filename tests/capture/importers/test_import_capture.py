@@ -15,6 +15,7 @@ from support.written import WRITERS, as_orb, write_glb
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture import scene_xml
+from svu_mi.capture.capture import Flash
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.registry import read_source
@@ -172,6 +173,7 @@ def test_a_table_stands_under_the_object(original, tmp_path):
     options = {"mesh": source.mesh, "mesh_up": "y", "world_up": "z", "every": 4}
     below = {"table": -0.1, "table_albedo": 0.25, "environment": source.light}
     capture = imported(path, tmp_path / "capture", {**options, **below})
+    assert capture.flash is None
     (table,) = [shape for shape in capture.scene.shapes() if shape.id() == "table"]
     positions = arrays(capture.shape).positions
     pose = np.array(mi.traverse(table)["to_world"].matrix).reshape(4, 4)
@@ -184,7 +186,16 @@ def test_a_table_stands_under_the_object(original, tmp_path):
     np.testing.assert_allclose(reflectance, 0.25)
 
 
+def test_a_flash_is_the_light(original, tmp_path):
+    path = WRITERS["transforms"](tmp_path, original.source)
+    lamp = {"flash": (-0.1, 0.2, 0.0), "flash_intensity": (4.0, 5.0, 6.0)}
+    options = {"mesh": original.source.mesh, "every": 4, **lamp}
+    assert imported(path, tmp_path / "capture", options).flash == Flash(*lamp.values())
+
+
 @pytest.mark.parametrize(("option", "ends", "beyond"), [
+    ("flash", ((0, 0, 0),), ((0, np.nan, 0),)),
+    ("flash_intensity", ((1e-9, 1, 1),), ((0, 1, 1), (1, 1, np.inf))),
     ("table_albedo", (0, 1), (-0.01, 1.01, np.nan)), ("table", (-1e30, 1e30), (np.inf, np.nan)),
     ("every", (1,), (0,)), ("faces", (100,), (99,)), ("mesh_scale", (1e-300,), (0, np.inf, np.nan)),
 ])  # fmt: skip
