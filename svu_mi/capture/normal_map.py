@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays
 
 MAPS = {"NormalMap": "normalmap", "BumpMap": "bumpmap"}  # type in XML by class
+MIRRORED = 0.001  # share of the UV area from which tangents of glTF differ
 WRAPPERS = ("TwoSidedBRDF", "MaskBSDF", *MAPS)
 
 
@@ -48,3 +52,12 @@ def with_normal_map(layer: Any | None, material: Any) -> Any:
 def _children(parent: Any, kind: type) -> list[Any]:
     tree = mi.traverse(parent).hierarchy
     return [node for node, (above, _) in tree.items() if above is parent and isinstance(node, kind)]
+
+
+def mirrored_share(mesh: MeshArrays) -> float:
+    """Return the share of UV area that shows a mirrored picture; V = 0 is its first row."""
+    assert mesh.uvs is not None
+    a, b, c = (mesh.uvs[mesh.faces[:, k]] for k in range(3))
+    (u, v), (s, t) = (b - a).T, (c - a).T
+    area = u * t - v * s
+    return float(np.maximum(area, 0).sum() / max(np.abs(area).sum(), 1e-300))

@@ -99,11 +99,12 @@ def write_scene(
 def object_node(
     name: str, mesh: MeshArrays, folder: Path, *, file: str = MESH,
     textures: Mapping[str, str] = FILES, two_sided: bool = False, layer: Any = None,
+    normals: str = NORMALS,
 ) -> Any:  # fmt: skip
     """Write a mesh to ``folder``; return its node with textures within a normal map ``layer``."""
     node, bsdf = scene_xml.mesh(mesh, folder, file, name), scene_xml.principled(name, textures)
     if layer is not None:
-        bsdf = scene_xml.mapped(layer, bsdf, folder, NORMALS)
+        bsdf = scene_xml.mapped(layer, bsdf, folder, normals)
     node.append(scene_xml.on_both_sides(name, bsdf) if two_sided else bsdf)
     return node
 

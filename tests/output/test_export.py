@@ -24,9 +24,11 @@ from support.helpers import ball, lettered, recovered_folder, write_known, write
 import svu_mi as svu
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.image_io import srgb
+from svu_mi.capture.normal_map import texture_of
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, ShapeError
+from svu_mi.output.export.asset import usable_normals
 from svu_mi.output.export.glb import front_faces
 from svu_mi.output.export.uv_gutters import at_vertices, inside_charts, with_gutters
 from svu_mi.output.export.write_asset import FORMATS
@@ -281,6 +283,38 @@ def test_a_world_with_z_up_is_turned_in_the_glb(asset, tmp_path):
     assert np.array(camera.world_transform().matrix).reshape(4, 4)[2, 1] > 0.9  # its top is +Z
 
 
+def test_a_normal_map_is_in_every_format(result, tmp_path, library):
+    """As Mitsuba's; on mirrored UVs, tangents of other programs differ."""
+    folder = shutil.copytree(result.folder, tmp_path / "result")
+    bumps = np.random.default_rng(RNG_SEED).random((6, 5, 3)).astype(np.float32)
+    write_exr(folder / "assets" / "normals.exr", {"RGB": bumps})
+    path = folder / "recovered.xml"
+    tree = ElementTree.parse(path)
+    (shape,) = tree.findall("shape")
+    inner = shape.find("bsdf")
+    shape.remove(inner)
+    layer = ElementTree.SubElement(shape, "bsdf", type="normalmap")
+    ElementTree.SubElement(layer, "texture", name="normalmap", type="bitmap")
+    layer.append(inner)
+    tree.write(path)
+    mapped = svu.load_asset(folder)
+    svu.export_asset(mapped, tmp_path / "asset")
+    bytes_of = np.round(255 * bumps)
+    np.testing.assert_array_equal(pixels(tmp_path / "asset/textures/normal.png"), bytes_of)
+    material = trimesh.load(tmp_path / "asset/asset.glb", force="mesh").visual.material
+    np.testing.assert_array_equal(np.array(material.normalTexture.convert("RGB")), bytes_of)
+    (loaded,) = mi.load_file(str(tmp_path / "asset/object.xml")).shapes()
+    assert loaded.bsdf().class_name() == "NormalMap"
+    np.testing.assert_allclose(np.array(mi.traverse(texture_of(loaded.bsdf()))["data"]), bumps)
+    document = mx.createDocument()
+    mx.readFromXmlFile(document, str(tmp_path / "asset/material.mtlx"))
+    document.importLibrary(library)
+    assert document.validate()[0]
+    flipped = replace(mapped.mesh, uvs=mapped.mesh.uvs * [-1, 1] + [1, 0])
+    both = usable_normals(bumps, mapped.mesh), usable_normals(bumps, flipped)
+    assert [each is None for each in both].count(True) == 1
+
+
 def test_normal_map_that_is_lost_is_reported(result, tmp_path):
     folder = shutil.copytree(result.folder, tmp_path / "result")
     path = folder / "recovered.xml"
@@ -288,7 +322,7 @@ def test_normal_map_that_is_lost_is_reported(result, tmp_path):
     (shape,) = tree.findall("shape")
     ElementTree.SubElement(shape.find("bsdf"), "texture", name="normalmap", type="bitmap")
     tree.write(path)
-    with pytest.warns(svu.SvuWarning, match="recovered.xml: the object's normal or bump map is no"):
+    with pytest.warns(svu.SvuWarning, match="recovered.xml: the object's bump map, or normal map"):
         svu.load_asset(folder)
 
 

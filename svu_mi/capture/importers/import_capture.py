@@ -40,7 +40,6 @@ from svu_mi.capture.importers.import_options import ImportOptions, Light
 from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerfstudio_world import find_normalisation, in_world_of_poses
-from svu_mi.capture.importers.normal_pictures import MIRRORED, mirrored_share
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.simplify_mesh import simplify
 from svu_mi.capture.importers.source import Frame, Source
@@ -48,6 +47,7 @@ from svu_mi.capture.importers.source_files import relative_name
 from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, too_few_for_light
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.mesh_scale import wrong_scale
+from svu_mi.capture.normal_map import MIRRORED, mirrored_share
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.capture.unwrap import unwrap

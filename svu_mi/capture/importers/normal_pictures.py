@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.importers.mesh_materials import MAX_PIXELS, header_of
-from svu_mi.capture.mesh import MeshArrays
-
-MIRRORED = 0.001  # share of the UV area
 
 
 def normal_picture(path: Path, visual: Any) -> np.ndarray | None:
@@ -29,12 +26,3 @@ def normal_picture(path: Path, visual: Any) -> np.ndarray | None:
     if "extensions" in entry or "extensions" in base:
         return None
     return np.array(picture.convert("RGB"))
-
-
-def mirrored_share(mesh: MeshArrays) -> float:
-    """Return the share of UV area that shows a mirrored picture; V = 0 is its first row."""
-    assert mesh.uvs is not None
-    a, b, c = (mesh.uvs[mesh.faces[:, k]] for k in range(3))
-    (u, v), (s, t) = (b - a).T, (c - a).T
-    area = u * t - v * s
-    return float(np.maximum(area, 0).sum() / max(np.abs(area).sum(), 1e-300))

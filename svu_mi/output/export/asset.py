@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.mesh import MeshArrays, arrays, check_buffers
-from svu_mi.capture.replace_material import is_two_sided
+from svu_mi.capture.normal_map import MIRRORED, mirrored_share, normal_map, texture_of
+from svu_mi.capture.replace_material import is_same, is_two_sided
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.identifiers import plain_name
 from svu_mi.core.io.schema import LARGEST
@@ -35,6 +37,8 @@ class Asset:
         coverage: (H, W) float32 number of views, same resolution as ``entropy``; None if unknown.
         deviations: (H, W) float32 standard deviations by parameter, in the textures' resolution;
             for base colour the largest of its channels.
+        normals: (H, W, 3) float32 in [0, 1], normal map of the object, any resolution; None without
+            one, and if its UVs are mirrored: tangents of other programs differ there.
         two_sided: Whether back faces reflect light, too.
         up: Upward axis of the world, ``y`` or ``z``.
         source: Origin of the data, for the record.
@@ -54,6 +58,7 @@ class Asset:
     entropy: np.ndarray | None = None
     coverage: np.ndarray | None = None
     deviations: Mapping[str, np.ndarray] = field(default_factory=dict)
+    normals: np.ndarray | None = None
     two_sided: bool = False
     up: Axis = "y"
     source: str | None = None
@@ -104,6 +109,7 @@ class Asset:
                 name: padded_image(field, largest_channel(field.sd(name)), fill=0)
                 for name in field.names
             },
+            normals=_normals_of(capture),
             two_sided=is_two_sided(capture.shape.bsdf()),
             up=nearest_axis(up_direction(capture)),
             source=capture.source,
@@ -119,6 +125,26 @@ class AssetFile:
     format: str
     holds: str
     values: str
+
+
+def _normals_of(capture: Any) -> np.ndarray | None:
+    """Return the pixels of the object's normal map, if other programs can use it."""
+    layer = normal_map(capture.shape.bsdf())
+    if layer is None or not is_same(capture.mesh, capture.shape):
+        return None
+    params = mi.traverse(texture_of(layer))
+    plain = "data" in params and np.allclose(params["to_uv"].matrix, np.eye(3))
+    if not plain or layer.class_name() != "NormalMap":
+        return None
+    return usable_normals(np.array(params["data"]), arrays(capture.mesh))
+
+
+def usable_normals(pixels: np.ndarray, mesh: MeshArrays) -> np.ndarray | None:
+    """Return a normal map in [0, 1], or None if UVs are mirrored."""
+    if mirrored_share(mesh) > MIRRORED:
+        return None
+    unit = 255 if pixels.dtype == np.uint8 else 1
+    return np.clip(np.asarray(pixels, np.float32) / unit, 0, 1)
 
 
 def largest_channel(deviations: np.ndarray) -> np.ndarray:

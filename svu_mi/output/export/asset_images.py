@@ -19,6 +19,7 @@ from svu_mi.parameters import CHANNELS
 LINEAR = "linear"
 VALUES = {"entropy": "in [0, 1], 1 = no information", "coverage": "number of views"}
 SD_OF = "standard deviation"
+NORMALS = "linear: normal map, as in glTF and OpenGL (+Y)"
 SRGB = "sRGB (IEC 61966-2-1)"
 PACKED = "linear: R occlusion (unknown, 1), G roughness, B metallic, as in glTF"
 
@@ -46,6 +47,8 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[AssetFile
         pixels = np.array(tensor)
         images[name] = (pixels, LINEAR) if CHANNELS[name] == 1 else (srgb(pixels), SRGB)
     images["orm"] = (orm_image(asset), PACKED)
+    if asset.normals is not None:
+        images["normal"] = (asset.normals, NORMALS)
     for name, image in asset.maps.items():
         if name == "coverage":
             maximum = max(float(image.max()), 1.0)

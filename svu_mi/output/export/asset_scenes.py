@@ -50,9 +50,16 @@ def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
     ``up`` is the upward axis of the preview's camera.
     """
     textures = {name: f"{TEXTURES}/{file}" for name, file in FILES.items()}
+    layer = None
+    if asset.normals is not None:
+        picture = {"type": "bitmap", "bitmap": mi.Bitmap(asset.normals), "raw": True}
+        layer = mi.load_dict(
+            {"type": "normalmap", "normalmap": picture, "material": {"type": "diffuse"}}
+        )
     node = object_node(
-        asset.name, asset.mesh, folder, file=MESH, textures=textures, two_sided=asset.two_sided
-    )
+        asset.name, asset.mesh, folder, file=MESH, textures=textures, two_sided=asset.two_sided,
+        layer=layer, normals=f"{TEXTURES}/normal.exr",
+    )  # fmt: skip
     _write(folder / OBJECT, [Comment(USE.format(version=svu_mi.__version__)), node])
     _write(folder / PREVIEW, _preview(asset, up))
     return [
@@ -96,7 +103,8 @@ def _write(path: Path, children: list[Any]) -> None:
 
 def write_materialx(asset: Asset, folder: Path) -> list[AssetFile]:
     """Write ``material.mtlx`` and ``mesh.obj``, which use the PNG textures."""
-    scene_xml.write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
+    root = _document(materialx_name(asset.name), with_normals=asset.normals is not None)
+    scene_xml.write_document(root, folder / MATERIAL)
     mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
     text, _ = export_obj(
         mesh,
@@ -118,7 +126,7 @@ def write_materialx(asset: Asset, folder: Path) -> list[AssetFile]:
     ]  # fmt: skip
 
 
-def _document(name: str) -> Element:
+def _document(name: str, *, with_normals: bool) -> Element:
     root = Element("materialx", version=VERSION, colorspace="lin_rec709")
     kinds = {parameter: "color3" if CHANNELS[parameter] == 3 else "float" for parameter in INPUTS}
     for parameter, kind in kinds.items():
@@ -131,6 +139,12 @@ def _document(name: str) -> Element:
     for parameter, kind in kinds.items():
         _input(surface, INPUTS[parameter], kind, nodename=f"{name}_{parameter}")
     _input(surface, "specular_IOR", "float", value=str(INDEX_OF_REFRACTION))
+    if with_normals:
+        image = SubElement(root, "image", name=f"{name}_normal", type="vector3")
+        _input(image, "file", "filename", value=f"{TEXTURES}/normal.png")
+        mapped = SubElement(root, "normalmap", name=f"{name}_mapped", type="vector3")
+        _input(mapped, "in", "vector3", nodename=f"{name}_normal")
+        _input(surface, "normal", "vector3", nodename=f"{name}_mapped")
     material = SubElement(root, "surfacematerial", name=name, type="material")
     _input(material, "surfaceshader", "surfaceshader", nodename=f"{name}_surface")
     look = SubElement(root, "look", name=f"{name}_look")

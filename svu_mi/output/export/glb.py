@@ -44,6 +44,7 @@ def write_asset_glb(
         name=asset.name,
         baseColorTexture=Image.fromarray(quantized(srgb(base_color))),
         metallicRoughnessTexture=Image.fromarray(quantized(orm_image(asset))),
+        normalTexture=None if asset.normals is None else Image.fromarray(quantized(asset.normals)),
         baseColorFactor=[255, 255, 255, 255],
         metallicFactor=1.0,
         roughnessFactor=1.0,

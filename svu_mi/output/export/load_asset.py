@@ -15,7 +15,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
 from svu_mi.capture.plugin_security import pin_own_plugins
 from svu_mi.capture.scene import last_sentence
 from svu_mi.capture.up_direction import up_of_poses
-from svu_mi.core.io.exr import read_header
+from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.core.io.provenance import (
@@ -27,14 +27,15 @@ from svu_mi.core.io.provenance import (
 from svu_mi.core.io.schema import LARGEST, Axis, Field, checked
 from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
-from svu_mi.output.export.asset import Asset
+from svu_mi.output.export.asset import Asset, usable_normals
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.object_views import nearest_axis
 from svu_mi.output.run_record import RECORD
-from svu_mi.output.texture_files import FILES, MESH, SCENE, read_textures
+from svu_mi.output.texture_files import FILES, MESH, NORMALS, SCENE, read_textures
 
 HEADER = 4096  # largest size of a PLY header in bytes
 PART = Field("f", (Axis("rows", 1), Axis("columns", 1)), 0, 1, default=None)
+PIXELS = Field("f", PART.shape, -LARGEST, LARGEST)
 VIEWS = PART._replace(high=LARGEST)
 
 
@@ -87,17 +88,24 @@ class AssetPlan:
             ) from error
         shape = _object_node(scene, file)
         smooth = shape.find("boolean[@name='face_normals']") is None
-        if shape.find(".//texture[@name='normalmap']") is not None:
-            sentence = f"{file}: the object's normal or bump map is not exported; add it there."
+        mesh, normals = _read_mesh(folder / MESH, smooth), None
+        if shape.find(".//bsdf[@type='normalmap']") is not None:
+            normals = usable_normals(_read_normals(folder / NORMALS), mesh)
+        if normals is None and shape.find(".//texture[@name='normalmap']") is not None:
+            sentence = (
+                f"{file}: the object's bump map, or normal map on mirrored UVs, is not exported; "
+                "bake it there."
+            )
             warnings.warn(sentence, SvuWarning, stacklevel=3)
         textured = folder / FILES["base_color"]
         return Asset(
             name=shape.get("id") or "object",
-            mesh=_read_mesh(folder / MESH, smooth),
+            mesh=mesh,
             textures=read_textures(folder),
             entropy=_read_map(maps / ENTROPY, PART),
             coverage=_read_map(maps / COVERAGE, VIEWS),
             deviations=_read_deviations(folder / UNCERTAINTY, textured),
+            normals=normals,
             two_sided=shape.find("bsdf[@type='twosided']") is not None,
             up=nearest_axis(up_of_poses(_camera_poses(scene))),
             source=str(folder),
@@ -179,6 +187,12 @@ def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     deviations = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
     with refusing(path, "compute the file again"):
         return checked(deviations, dict.fromkeys(deviations, PART))
+
+
+def _read_normals(path: Path) -> np.ndarray:
+    with refusing(path, "recover it again"):
+        planes = checked(read_exr(path), dict.fromkeys("RGB", PIXELS))
+    return np.stack([planes[name] for name in "RGB"], axis=2)
 
 
 def _read_map(path: Path, field: Field) -> np.ndarray | None:
