@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 From = Annotated[Path, Positional, arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, arg(metavar="FILE | exif | none | estimate")]
 Mesh = Annotated[str | Path | None, arg(metavar="FILE")]
-Curve = Annotated[Path | None, arg(metavar="FILE")]
 Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
 Color = Annotated[tuple[float, float, float], arg(metavar="R G B")]
 Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction]
@@ -69,7 +68,6 @@ class Conversion(ImportOptions):
     flash: Place = None
     flash_intensity: Color = (1.0, 1.0, 1.0)
     exposures: Gains = None
-    response: Curve = None
     fixes: Fixes = ()
 
 

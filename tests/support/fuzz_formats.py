@@ -30,7 +30,7 @@ from svu_mi.capture import capture_folder, loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_image
-from svu_mi.capture.importers.convert_photographs import convert_photograph, with_response
+from svu_mi.capture.importers.convert_photographs import convert_photograph
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.exposure_list import with_exif_gains, with_listed_gains
 from svu_mi.capture.importers.lens_distortion import Lens
@@ -124,12 +124,6 @@ def normalisation(folder: Path, out: Path) -> None:
     """Move a mesh out of nerfstudio's normalised world."""
     applied = AppliedWorld(np.diag([1.0, -1, -1, 1]), 2.0)
     assert np.isfinite(read_normalisation(folder / "dataparser_transforms.json", applied)).all()
-
-
-def response(folder: Path, out: Path) -> None:
-    """Decode a photograph by what was measured."""
-    (frame,) = with_response([frame_of(folder / "view_0000.png")], folder / "curve.txt")
-    convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 
 def capture(folder: Path, out: Path) -> None:
@@ -341,11 +335,6 @@ def _normalisation(folder: Path) -> None:
     (folder / "dataparser_transforms.json").write_text(json.dumps(record))
 
 
-def _response(folder: Path) -> None:
-    write_integers(folder, "view_0000.png", "RGB")
-    (folder / "curve.txt").write_text("# code R G B\n0 0 0 0\n128, .2, .3, .25\n\n255 2 1 1.5\n")
-
-
 def _imported(folder: Path) -> None:
     _transforms(folder)
     write_mesh(folder, "mesh.glb", painted=True)
@@ -437,7 +426,6 @@ def _all_formats() -> Iterator[Format]:
     yield Format(name="svu import", make=_imported, read=program, share=10)
     yield Format(name="exposures", make=_exposures, read=exposures)
     yield Format(name="normalisation", make=_normalisation, read=normalisation)
-    yield Format(name="response", make=_response, read=response)
     yield Format(name="capture", make=write_scene_capture, read=capture, share=4)
     yield Format(name="scene", make=_scene, read=scene, targets="*.xml", share=2)
     yield Format(name="shapes", make=_shapes, read=target, share=2)
