@@ -76,7 +76,7 @@ class Import(BaseCommand):
     """Convert a capture of another tool to a capture folder.
 
     Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Meshroom,
-    cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting. Writes scene.xml with
+    cameras_sphere.npz (IDR, NeuS) and Stanford-ORB. Writes scene.xml with
     mesh and light, linear EXR photographs with masks, and capture.json. Next: svu check.
     """
 

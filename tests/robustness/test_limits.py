@@ -256,7 +256,6 @@ POSES = {
         "images.txt": b"",
     },
     "idr": lambda: {"cameras.npz": npz({f"world_mat_{k}": np.zeros(1) for k in range(2 * MANY)})},
-    "owl": lambda: {"exposure.txt": b"0", **{f"camera_{k:05d}.txt": b"" for k in range(MANY)}},
     "transforms": lambda: {"transforms.json": b'{"frames": [%s{}]}' % (b"{}," * (MANY - 1))},
 }  # fmt: skip
 

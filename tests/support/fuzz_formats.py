@@ -24,7 +24,6 @@ from PIL import Image
 from support import image_files
 from support.colmap import write_colmap
 from support.helpers import ball, sensor_xml, write_scene
-from support.owl import write_owl
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import capture_folder, loading
 from svu_mi.capture import mesh as capture_mesh
@@ -319,10 +318,6 @@ def _idr(folder: Path) -> None:
     np.savez(folder / "cameras.npz", **{f"{n}_{k}": arrays[n] for n in arrays for k in (0, 1)})
 
 
-def _owl(folder: Path) -> None:
-    write_owl(folder, _source(folder.parent / "other"))
-
-
 def _exposures(folder: Path) -> None:
     exif = Image.Exif()
     exif.get_ifd(0x8769).update({0x829A: 0.02, 0x8827: 100, 0x829D: 4.0})  # time, ISO, aperture
@@ -416,7 +411,7 @@ def _all_formats() -> Iterator[Format]:
         ("transforms", _transforms, "*.json", "."),
         ("transforms-distorted", _distorted, "*.json", "."),
         ("colmap-binary", _colmap, "*.bin", "."),
-        ("colmap-text", partial(_colmap, text=True), "*.txt", "."), ("owl", _owl, "*.txt", "test"),
+        ("colmap-text", partial(_colmap, text=True), "*.txt", "."),
         ("alicevision", _alicevision, "*.sfm", "."),
         ("idr", _idr, "*.npz", "."),
         ("orb", _orb, "*_t*.json", "blender_HDR/ball_scene001"),

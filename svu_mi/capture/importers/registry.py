@@ -28,7 +28,6 @@ FORMATS = {
     "transforms": "nerf",
     "colmap": "colmap.project",
     "idr": "idr",
-    "owl": "objects_with_lighting",
 }
 AUTO = "auto"
 SEARCHED = 100  # subfolders, if a folder has no known format
@@ -68,8 +67,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     Args:
         path: file ``transforms.json``, ``cameras.sfm`` (Meshroom),
             ``cameras_sphere.npz`` or ``cameras.npz`` (IDR, NeuS), or the folder that contains it;
-            or the folder of a COLMAP project or model, a Stanford-ORB scene, or an object of
-            Objects with Lighting.
+            or the folder of a COLMAP project or model, or of a Stanford-ORB scene.
         options: options of reading; defaults if None.
 
     Raises:
@@ -104,8 +102,8 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         _module("foreign_formats").refuse_foreign(path)
         raise CaptureError(
             f"{path}: not a capture of a known format; give a folder that contains "
-            "transforms.json, cameras.sfm, a COLMAP model, cameras_sphere.npz, "
-            "Stanford-ORB or Objects with Lighting."
+            "transforms.json, cameras.sfm, a COLMAP model, cameras_sphere.npz "
+            "or Stanford-ORB."
         )
     if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(
