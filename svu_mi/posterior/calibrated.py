@@ -129,6 +129,7 @@ class CalibratedKernel(Kernel):
             stay. Default: not widened.
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
+        support: the same for a scale of each of the S texels (``support_error``), (S, 3); or None.
     """
 
     grid: PrincipledGrid
@@ -138,6 +139,7 @@ class CalibratedKernel(Kernel):
     learned: bool = False
     spread: Mapping[str, float] = field(default_factory=dict)
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
+    support: np.ndarray | None = None
     continuous = True
 
     @property
@@ -206,7 +208,7 @@ class CalibratedKernel(Kernel):
         """Return mean and standard deviation (see ``Kernel``)."""
         mean, sd = self._own_moments(name, texels)
         sd = sd * self._factors(name, mean, sd)
-        return mean, np.hypot(sd, mean * self._common) if name == "base_color" else sd
+        return mean, np.hypot(sd, mean * self._scale(texels)) if name == "base_color" else sd
 
     def _factors(self, name: str, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
         """Return factors of standard deviations ``sd``, (t, g), up to the prior's (``spread``)."""
@@ -237,9 +239,9 @@ class CalibratedKernel(Kernel):
         ]
         low, high = (np.concatenate([ends[k] for ends in chunks]) for k in range(2))
         low, high = (self._stretched(name, end, texels) for end in (low, high))
-        if name != "base_color" or not any(self.common):
+        if name != "base_color" or not self._has_scale:
             return low, high
-        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._common
+        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._scale(texels)
         half = np.hypot((high - low) / 2, wide * middle)
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
@@ -258,7 +260,7 @@ class CalibratedKernel(Kernel):
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
         """Return half the widths of intervals (see ``Kernel``)."""
         problem = self.problem
-        alone = problem.factors.channels == 1 or problem.color_prior is not None or any(self.common)
+        alone = problem.factors.channels == 1 or problem.color_prior is not None or self._has_scale
         if name != "base_color" or alone:
             return super().half_widths(name, level, texels)
         widest = self.moments(name, texels)[1].argmax(axis=1)
@@ -308,9 +310,15 @@ class CalibratedKernel(Kernel):
         return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
 
     @property
-    def _common(self) -> np.ndarray:
-        """Attribute ``common`` as an array with a value per base colour channel, (3,) or (1,)."""
-        return np.asarray(self.common) if self.channels > 1 else np.mean(self.common, keepdims=True)
+    def _has_scale(self) -> bool:
+        return any(self.common) or self.support is not None
+
+    def _scale(self, texels: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the log of the scale of base colours, (t, g) or (g,)."""
+        common = np.asarray(self.common, np.float32)
+        if self.support is not None:
+            common = np.hypot(common, self.support[self.lane[texels]])
+        return common if self.channels > 1 else common.mean(axis=-1, keepdims=True)
 
 
 def calibrated_posterior(

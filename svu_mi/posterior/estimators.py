@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
@@ -39,6 +40,7 @@ from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_met
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest
+from svu_mi.posterior.support_error import may_stand, support_error
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import Plan
 from svu_mi.presets import AngularPreset, AnyPreset
@@ -93,7 +95,7 @@ def statistics_posterior(
     """Return the posterior of all texels from their statistics."""
     observed, count = inputs.observed, inputs.observed.texels.count
     if switches.noise != "estimated":
-        return _posterior(inputs, switches, factors, None, count)
+        return _posterior(inputs, switches, factors, None, count, factors.texel.numpy())
     scale, copies = observed.unit, inputs.plan.copies
     problem = problem_of(factors, inputs.grid, scale, switches, inputs.prior, copies)
     fitted = observed.cache.recall(
@@ -103,7 +105,7 @@ def statistics_posterior(
     )  # fmt: skip
     seen = observed_by("estimate()", factors, copies, count)
     posterior = posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
-    return _widened(posterior, inputs)
+    return _widened(posterior, inputs, factors.texel.numpy())
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
@@ -118,9 +120,18 @@ def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[A
     return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
 
 
-def _widened(posterior: Posterior, inputs: EstimatorInputs) -> Posterior:
-    """Return the posterior with the factors of standard deviations of the test by folds."""
-    return replace(posterior, kernel=replace(posterior.kernel, spread=inputs.test.spread))
+def _widened(posterior: Posterior, inputs: EstimatorInputs, texels: np.ndarray) -> Posterior:
+    """Return the posterior with wider error bars, of lanes that are ``texels`` of the capture.
+
+    By the test by folds, and by what the object may stand on.
+    """
+    observed, support = inputs.observed, None
+    if inputs.test.spread and may_stand(observed.capture):
+        normal = np.stack([x.numpy()[texels] for x in observed.texels.normal], axis=1)
+        light, up = observed.distant_light.environment, up_direction(observed.capture)
+        support = support_error(light, up, normal)
+    kernel = replace(posterior.kernel, spread=inputs.test.spread, support=support)
+    return replace(posterior, kernel=kernel)
 
 
 def with_metal_share(
@@ -207,7 +218,7 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
         dr.flush_malloc_cache()  # releases the sums of the last tile
     known = [part for part in rounded if part is not None]  # either all tiles have one, or none
     rounding = np.concatenate(known) if known else None
-    return _posterior(inputs, switches, factors, rounding, seen.texels.count)
+    return _posterior(inputs, switches, factors, rounding, seen.texels.count, texels)
 
 
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:
@@ -219,7 +230,8 @@ def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarra
         part = part.subset(texels[own])
     factors = _factors(inputs, part, switches, None)
     factors = replace(factors, texel=to_drjit(mi.UInt32, own.astype(np.uint32)))
-    return _posterior(inputs, switches, factors, _rounding(part, switches), len(texels))
+    rounding = _rounding(part, switches)
+    return _posterior(inputs, switches, factors, rounding, len(texels), texels[own])
 
 
 def _factors(
@@ -249,14 +261,16 @@ def _posterior(
     factors: Factors,
     rounding: np.ndarray | None,
     texels: int,
+    of_lanes: np.ndarray,
 ) -> Posterior:
+    """Return the posterior of ``texels`` texels; lanes are texels ``of_lanes`` of the capture."""
     plan, seen = inputs.plan, inputs.observed
     if switches.noise == "estimated":
         posterior = calibrated_posterior(
             factors, inputs.grid, seen.unit, switches, prior=inputs.prior, copies=plan.copies,
             texels=texels, light_uncertainty=seen.capture.light_uncertainty, rounding=rounding,
         )  # fmt: skip
-        return _widened(posterior, inputs)
+        return _widened(posterior, inputs, of_lanes)
     return angular_posterior(
         factors, inputs.grid, seen.unit, switches,
         prior=inputs.prior, copies=plan.copies, levels=plan.levels, texels=texels,

@@ -1,0 +1,53 @@
+"""Error of base colour by light from what the object may stand on.
+
+If no photograph is taken from below, the object may stand on something that the scene lacks. A
+horizontal plane below it, of albedo rho = 1/2, would replace the light from below and change the
+irradiance of a texel with normal n by
+
+    d(n) = integral over downward w of (rho H / pi - L(w)) max(n . w, 0) dw,
+
+with the irradiance H of the plane. The logarithm of base colour has the standard deviation
+|d| / (2 E), with the irradiance E of the texel. Both are expanded in spherical harmonics of degree
+4 [Ramamoorthi and Hanrahan 2001]; the object's own shadows are neglected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.up_direction import up_direction
+from svu_mi.core.arrays import fibonacci
+from svu_mi.light.environment import Environment, basis_at, polar_from_local
+
+ALBEDO, SURE = 0.5, 0.5  # rho; standard deviation relative to |d| / E
+LIGHT_DEGREE, POINTS = 8, 1024  # of the light, and directions of its quadrature
+LOBE = np.pi * np.repeat([1, 2 / 3, 1 / 4, 0, -1 / 24], [1, 3, 5, 7, 9])  # of max(n . w, 0)
+DARKEST = 0.05  # least irradiance, relative to that of uniform light
+
+
+def may_stand(capture: Capture) -> bool:
+    """Return whether the object may stand on something that the scene lacks.
+
+    Light estimated from the photographs includes what is below the object.
+    """
+    lit = capture.scene.environment() is not None and capture.light_uncertainty is None
+    box, up = capture.shape.bbox(), up_direction(capture)
+    eyes = np.array([to_world(sensor)[:3, 3] for sensor in capture.used_sensors])
+    above = (eyes - np.array(box.center())) @ up
+    return lit and len(capture.scene.shapes()) == 1 and len(eyes) > 0 and bool(above.min() > 0)
+
+
+def support_error(light: Environment, up: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of the log of base colour at S normals, (S, 3) float32."""
+    world = fibonacci(POINTS)
+    to_polar = polar_from_local(world @ light.to_local.T)
+    radiance = np.maximum(basis_at(to_polar, LIGHT_DEGREE) @ light.coefficients(LIGHT_DEGREE), 0)
+    step, height = 4 * np.pi / POINTS, world @ up
+    plane = ALBEDO / np.pi * step * (np.maximum(height, 0) @ radiance)
+    changed = np.where(height[:, None] < 0, plane - radiance, 0)
+    sums = step * LOBE[:, None] * (basis_at(world, 4).T @ np.hstack([changed, radiance]))
+    change, whole = np.split(basis_at(normal, 4) @ sums, 2, axis=1)
+    least = DARKEST * np.pi * radiance.mean(axis=0)
+    return np.asarray(SURE * np.abs(change) / np.maximum(whole, least), np.float32)
