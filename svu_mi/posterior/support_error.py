@@ -1,6 +1,6 @@
 """Error of base colour by light from what the object may stand on.
 
-If no photograph is taken from below, the object may stand on something that the scene lacks. A
+If no photograph is taken from below the object, it may stand on something that the scene lacks. A
 horizontal plane below it, of albedo rho = 1/2, would replace the light from below and change the
 irradiance of a texel with normal n by
 
@@ -35,8 +35,9 @@ def may_stand(capture: Capture) -> bool:
     lit = capture.scene.environment() is not None and capture.light_uncertainty is None
     box, up = capture.shape.bbox(), up_direction(capture)
     eyes = np.array([to_world(sensor)[:3, 3] for sensor in capture.used_sensors])
-    above = (eyes - np.array(box.center())) @ up
-    return lit and len(capture.scene.shapes()) == 1 and len(eyes) > 0 and bool(above.min() > 0)
+    lowest = np.minimum(np.array(box.min) * up, np.array(box.max) * up).sum()
+    above = len(eyes) > 0 and bool((eyes @ up).min() > lowest)
+    return lit and above and len(capture.scene.shapes()) == 1
 
 
 def support_error(light: Environment, up: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from evaluation.test_traced_posterior import paint, sky
@@ -13,11 +14,15 @@ from support.helpers import render_ball
 import svu_mi as svu
 from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.spoiled_captures import with_gains
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.geometry.bitset import Bits
+from svu_mi.light.environment import read_environment
 from svu_mi.posterior.folds import cluster_directions, compared, folds_of, spread_factors
 from svu_mi.posterior.held_out_samples import HeldOutSamples, predict_samples
 from svu_mi.posterior.kept_results import pack_test, restore_test
 from svu_mi.posterior.prediction import FoldTest, HeldOutPrediction, PartPrediction
+from svu_mi.posterior.support_error import support_error
+from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.statistics.gather_statistics import Weighting
 
 NAMES = ("roughness", "metallic", "base_color")
@@ -168,6 +173,39 @@ def test_few_views_are_not_folded(capture, layout):
 
 def test_presets_without_folds_are_not_widened(capture, layout):
     assert svu.estimate(capture, layout, preset="fast").posterior.kernel.spread == {}
+
+
+# --- what the object may stand on -----------------------------------------------------------
+
+
+def test_plane_changes_irradiance_by_its_form_factor():
+    """A plane of albedo 1/2 under uniform light halves what comes from below."""
+    light = read_environment(mi.load_dict({"type": "constant", "radiance": 3.0}))
+    normal = np.random.default_rng(4).normal(size=(50, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    up = np.array([0.6, 0.0, 0.8])
+    factor = (1 - normal @ up) / 2  # [Howell, catalog of configuration factors]
+    expected = np.repeat(0.5 * 0.5 * factor[:, None], 3, axis=1)
+    np.testing.assert_allclose(support_error(light, up, normal), expected, atol=0.01)
+
+
+def test_photographs_from_above_widen_base_color_below(capture, layout, monkeypatch):
+    heights = [s.world_transform().matrix[1, 3] for s in capture.sensors]
+    above = chosen_views(capture, np.flatnonzero(np.ravel(heights) > -0.5))
+    assert svu.estimate(capture, layout).posterior.kernel.support is None
+    wide = svu.estimate(above, layout)
+    seen, free = wide.observed.seen, wide.posterior.kernel
+    mean, sd, own = (np.array(x)[seen] for x in (
+        wide.posterior.mean("base_color"), wide.posterior.sd("base_color"),
+        replace(wide.posterior, kernel=replace(free, support=None)).sd("base_color")))  # fmt: skip
+    normal = np.stack([x.numpy() for x in layout.normal], axis=1)[seen]
+    light = read_environment(capture.environment)
+    added = mean * support_error(light, up_direction(capture), normal)
+    np.testing.assert_allclose(sd, np.hypot(own, added), rtol=1e-4)
+    monkeypatch.setattr("svu_mi.pipeline.TILE", 100)
+    monkeypatch.setattr(TiledKernel, "size", 100)
+    tiled = svu.estimate(above, layout).posterior
+    np.testing.assert_allclose(np.array(tiled.sd("base_color"))[seen], sd, rtol=1e-3)
 
 
 # --- prediction -----------------------------------------------------------------------------
