@@ -30,14 +30,17 @@ DARKEST = 0.05  # least irradiance, relative to that of uniform light
 def may_stand(capture: Capture) -> bool:
     """Return whether the object may stand on something that the scene lacks.
 
-    Light estimated from the photographs includes what is below the object.
+    Light estimated from the photographs includes what is below the object. Lamps and a flash light
+    the plane in another way.
     """
-    lit = capture.scene.environment() is not None and capture.light_uncertainty is None
+    scene = capture.scene
+    alone = len(scene.shapes()) == len(scene.emitters()) == 1 and scene.environment() is not None
+    lit = alone and capture.flash is None and capture.light_uncertainty is None
     box, up = capture.shape.bbox(), up_direction(capture)
     eyes = np.array([to_world(sensor)[:3, 3] for sensor in capture.used_sensors])
     lowest = np.minimum(np.array(box.min) * up, np.array(box.max) * up).sum()
     above = len(eyes) > 0 and bool((eyes @ up).min() > lowest)
-    return lit and above and len(capture.scene.shapes()) == 1
+    return lit and above
 
 
 def support_error(light: Environment, up: np.ndarray, normal: np.ndarray) -> np.ndarray:
