@@ -40,9 +40,9 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 
-SIZES: dict[str, Any] = {"views": 40, "film": 192, "spp": 32}
+SIZES: dict[str, Any] = {"views": 60, "film": 256, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
-TEXELS, QUICK_TEXELS = 160, 32  # per side
+TEXELS, QUICK_TEXELS = 192, 32  # per side
 TRACED, SPP = 100, 256  # path-traced texels, and their samples
 QUICK_TRACED, QUICK_SPP = 30, 16
 FINER = 4  # samples of the true textures per side of a texel
