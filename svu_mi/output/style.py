@@ -29,7 +29,6 @@ COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
 VALUES_COLORMAP = "copper"  # for parameters; without grey (unseen) and yellow (uncertain)
 DENSITY_COLORMAP = DIFFERENCE_COLORMAP = "magma"  # posteriors, differences of pictures
 INFORMATION_GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: no gain
-CHANNEL_COLORS = ("#c23b3b", "#2f8f4e", "#3566b8")
 SETTLED_COLORS = ("#414487", "#22a884", "#e3d523")  # determined, roughly determined, uncertain
 MARK = (0.91, 0.27, 0.235)  # true values and selections
 BEFORE, AFTER = (1.0, 0.25, 0.2), (0.1, 0.85, 0.35)  # outlines of a mesh, as captured, corrected
@@ -154,14 +153,6 @@ def write_centered(axes: Axes, text: str) -> None:
     """Write a text in the centre of empty axes."""
     same: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
     axes.text(0.5, 0.5, text, color=FAINT, size=11, **same)
-
-
-def subtitle(axes: Axes, text: str) -> None:
-    """Write a line between axes and their title; the title needs ``pad=21``."""
-    axes.annotate(
-        text, (0, 1), xycoords="axes fraction", xytext=(0, 7), textcoords="offset points",
-        size=9, color=FAINT, ha="left", va="bottom", annotation_clip=False,
-    )  # fmt: skip
 
 
 def minimal_axes(axes: Axes) -> None:

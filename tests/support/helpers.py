@@ -257,6 +257,7 @@ def require_equal_columns(capture: Capture) -> None:
     """A candidate at the place of a photograph has its columns, with lamps and their shadows."""
     estimate = svu.estimate(capture, svu.texels(capture.mesh, 12), preset="fixed")
     guidance = svu.next_best_view(estimate, capture.sensors, 1, texels=10**4)
+    assert guidance._inputs is not None
     table = guidance._inputs.forecast.responses.table()
     photographed, candidate = np.split(table, 2)
     assert photographed[..., 1:].max() > 0.1
