@@ -33,6 +33,8 @@ from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
+from svu_mi.presets import preset
 from svu_mi.recovery.recovery_options import PathOptions, ShOptions
 from svu_mi.recovery.svbrdf_textures import Textures, uniform_textures
 
@@ -41,7 +43,14 @@ PLACE = "orb"  # folder of finished results
 
 @dataclass(frozen=True)
 class OrbRow(RecoveryMethod):
-    """Recovery method for real photographs: path tracing includes indirect light."""
+    """Recovery method for real photographs: our model and path tracing include indirect light."""
+
+    def source(self, capture: Capture, grid: Texels) -> Capture | Estimate:
+        """Return an estimate with all bounces for our model, else the capture."""
+        if self.method == "path" or self.sh != "default":
+            return capture
+        switches = preset("default", method="angular", bounces=True)
+        return estimate(capture, grid, preset=switches, whole=True)
 
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
         """Return the options of the presets (see ``RecoveryMethod``)."""

@@ -9,6 +9,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_known
 from svu_mi.geometry.texels import Texels
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.path.pixel_loss import path_objective
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.recovery_options import (
@@ -62,6 +63,11 @@ class RecoveryMethod:
             replace(path, epochs=scale * path.epochs, max_depth=DEPTH),
         )
 
+    def source(self, capture: Capture, grid: Texels) -> Capture | Estimate:
+        """Return what textures are recovered from."""
+        del grid
+        return capture
+
     def recover(self, capture: Capture, grid: Texels, scale: float = 1.0) -> Recovery:
         """Recover the textures of a capture.
 
@@ -71,7 +77,8 @@ class RecoveryMethod:
             scale: Factor of the numbers of epochs and steps.
         """
         sh, path = self.options(scale)
-        return recover(capture, grid, self.method, sharing=self.sharing, sh=sh, path=path)
+        source = self.source(capture, grid)
+        return recover(source, grid, self.method, sharing=self.sharing, sh=sh, path=path)
 
     def recover_in(
         self, steps: int, capture: Capture, grid: Texels, progress: Progress
@@ -91,8 +98,9 @@ class RecoveryMethod:
             path = replace(path, epochs=(steps - 0.5) / epoch)
             path = replace(path, descent=replace(path.descent, tolerance=0.0))
         return recover(
-            capture, grid, self.method, sharing=self.sharing, sh=sh, path=path, progress=progress
-        )
+            self.source(capture, grid), grid, self.method, sharing=self.sharing, sh=sh, path=path,
+            progress=progress,
+        )  # fmt: skip
 
 
 PATH = RecoveryMethod("path", "path")
