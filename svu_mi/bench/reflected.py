@@ -29,9 +29,9 @@ from svu_mi.geometry.texels import texels
 from svu_mi.pipeline import estimate
 from svu_mi.presets import preset
 
-SIZES: dict[str, Any] = {"views": 24, "film": 256, "spp": 64}
+SIZES: dict[str, Any] = {"views": 24, "film": 192, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
-TEXELS, QUICK_TEXELS = 128, 32  # per side
+TEXELS, QUICK_TEXELS = 96, 32  # per side
 DEPTH = "6"  # of photographs with all bounces
 GREY, BLACK = (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 # Directions of four square area lights and their radiance, three radii from the object.
