@@ -88,6 +88,7 @@ notebooks/recovering
 notebooks/own_loop
 notebooks/results
 notebooks/many
+notebooks/cluster
 notebooks/limits
 notebooks/promises
 notebooks/troubleshooting

@@ -23,7 +23,7 @@ LOOSE = {"__init__", "__main__", "_llvm", "errors", "parameters", "pipeline", "p
 FLOORS = 15
 # What may be imported where it is needed: packages of extras, and what draws.
 OPTIONAL = {
-    "diffusers", "lpips", "matplotlib", "pycolmap", "safetensors", "torch",
+    "dask", "diffusers", "distributed", "lpips", "matplotlib", "pycolmap", "safetensors", "torch",
     "transformers", "viser", "websockets",
 }  # fmt: skip
 

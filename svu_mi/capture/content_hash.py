@@ -66,6 +66,11 @@ def mesh_key(mesh: Any) -> str:
     return Key(source.faces, source.uvs.astype(np.float32)).digest()
 
 
+def scene_key(scene: Any, target: Any) -> str:
+    """Return a digest of a scene's shapes and light, without its sensors."""
+    return Key(_shapes(scene, target).digest(), _light(scene).digest()).digest()
+
+
 def integrator_key(scene: Any) -> str:
     """Return a digest of a scene's integrator: 32 hexadecimal digits."""
     integrator = scene.integrator()

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-Transfer = Literal["srgb", "linear"]
+Transfer = Literal["srgb", "gamma 2.2", "linear"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,8 @@ def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
     if transfer == "srgb":
         low, high = encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
         return np.where(encoded <= 0.04045, low, high).astype(np.float32)
-    return np.asarray(encoded, np.float32)
+    power = 1 if transfer == "linear" else np.float32(2.2)
+    return np.asarray(encoded**power, np.float32)
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:

@@ -112,6 +112,8 @@ class ResultCommand(BaseCommand):
 
     command: ClassVar[str]
     """Name in the record of the result."""
+    keep: ClassVar[str] = ""
+    """Pattern of files that are kept if a run fails."""
     page: ClassVar[str] = ""
     """Main page of the result, if it has one."""
     output: Output = Path("out")
@@ -120,7 +122,7 @@ class ResultCommand(BaseCommand):
     def run(self, console: Console) -> int:
         """Check the options, claim the output folder, run ``work``, and print its lines."""
         self.check()
-        with claimed(self.output, self.command, overwrite=self.overwrite) as place:
+        with claimed(self.output, self.command, overwrite=self.overwrite, keep=self.keep) as place:
             self.start()
             lines = self.work(Progress(console), place)
         print_line(console, f"Wrote {self.output / self.page}")

@@ -28,7 +28,7 @@ NO_CONFIG: Any = tyro.conf.arg()
 FIRST, OTHERS = "options", "advanced"
 # Titles of further groups in order, with names of options or of fields that contain options.
 GROUPS = {
-    "scene and photographs": "define shape images masks missing every exposures gains "
+    "scene and photographs": "define shape images masks missing every exposures gains response "
     "shrink render spp unwrap",
     "source": "reading undistort",
     "mesh": "mesh mesh-up world-up mesh-scale geometry-only",

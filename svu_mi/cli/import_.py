@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 From = Annotated[Path, Positional, arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, arg(metavar="FILE | exif | none | estimate")]
 Mesh = Annotated[str | Path | None, arg(metavar="FILE")]
+Curve = Annotated[Path | None, arg(metavar="FILE")]
 Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
 Color = Annotated[tuple[float, float, float], arg(metavar="R G B")]
 Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction]
@@ -68,6 +69,7 @@ class Conversion(ImportOptions):
     flash: Place = None
     flash_intensity: Color = (1.0, 1.0, 1.0)
     exposures: Gains = None
+    response: Curve = None
     fixes: Fixes = ()
 
 
@@ -75,8 +77,8 @@ class Conversion(ImportOptions):
 class Import(BaseCommand):
     """Convert a capture of another tool to a capture folder.
 
-    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Meshroom,
-    cameras_sphere.npz (IDR, NeuS) and Stanford-ORB. Writes scene.xml with
+    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Meshroom, poses_bounds.npy (LLFF),
+    cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting. Writes scene.xml with
     mesh and light, linear EXR photographs with masks, and capture.json. Next: svu check.
     """
 

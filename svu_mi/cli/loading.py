@@ -40,16 +40,18 @@ class CaptureCommand(BaseCommand):
         return self.output / "capture", self.output / "light"
 
     def load(
-        self, progress: Progress, need: NeedFunc, size: tuple[int, int], *,
+        self, progress: Progress, need: NeedFunc, size: tuple[int, int], *, again: bool = False,
         missing: opt.Missing | None = None, surroundings: bool = False,
     ) -> tuple[Capture, Texels]:  # fmt: skip
         """Read or render the photographs, and lay out texels; the light is optional.
 
         ``need`` returns the needed memory for given sizes. ``size`` is (width, height) in texels.
-        ``missing`` replaces the option of the same name, and ``surroundings`` keeps pixels outside
-        the object.
+        ``again`` reads the photographs that an earlier run rendered, ``missing`` replaces the
+        option of the same name, and ``surroundings`` keeps pixels outside the object.
         """
         from svu_mi.capture.crop import Detail
+        from svu_mi.capture.match_photographs import has_photographs
+        from svu_mi.capture.rendering import require_rendered
         from svu_mi.geometry.texels import texels
 
         photographs = self.capture.photographs
@@ -58,6 +60,10 @@ class CaptureCommand(BaseCommand):
             photographs = replace(photographs, missing=missing)
         if not self.capture.rendering.render:
             capture = self._read(progress, photographs, need, detail)
+        elif again and has_photographs(self.side_folders[0]):
+            rendered = replace(photographs, images=self.side_folders[0], missing="refuse")
+            capture = self._read(progress, rendered, need, detail)
+            require_rendered(capture, self.spp)
         else:
             capture = self._render(progress, need)
         with progress.stage("Laying out texels"):

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from svu_mi.cli import shared_options as opt
-from svu_mi.cli.base_command import ResultCommand
+from svu_mi.cli.base_command import ResultCommand, interruptible
 from svu_mi.cli.loading import LitCommand, print_prediction
-from svu_mi.core.io.output_folder import Claim
+from svu_mi.core.io.output_folder import CHECKPOINT, Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
@@ -38,8 +38,8 @@ class Recover(LitCommand, ResultCommand):
     uncertainty.exr (standard deviations, 90 % intervals), pictures, losses.csv and run.json.
     """
 
-    command = "recover"
-    first = "scene output resolution light images method preset sharing draws"
+    command, keep = "recover", CHECKPOINT
+    first = "scene output resolution light images method preset sharing draws resume"
     output: opt.Output = Path("out/textures")
     resolution: opt.Resolution = (512,)
     method: Literal["sh", "path", "sh+path"] = "sh"
@@ -68,6 +68,10 @@ class Recover(LitCommand, ResultCommand):
     initial: From = None
     """Folder of the initial base_color.exr, roughness.exr and metallic.exr (default: posterior
     means for sh; 0.5 for path and the presets of the paper)."""
+    resume: bool = False
+    """Continue an interrupted run from its checkpoint in the output folder."""
+    checkpoint_seconds: float = 30.0
+    """Seconds between two checkpoints, at least 0."""
     drawn: Drawn = 0
     """Number of posterior samples of the textures, in [0, 1000], written to draws/ and draws.png;
     svu relight needs about 16."""
@@ -77,7 +81,10 @@ class Recover(LitCommand, ResultCommand):
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Recover the textures, and write the results."""
-        return [self._recover(progress, place).summary()]
+        checkpoint = place.draft / CHECKPOINT
+        self._check_checkpoint(checkpoint)
+        with interruptible(partial(_advice, checkpoint)):
+            return [self._recover(progress, place).summary()]
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
@@ -90,10 +97,23 @@ class Recover(LitCommand, ResultCommand):
             raise OptionError("--parameters must name at least one texture.")
         opt.require_range("--seed", self.seed, 0)
         opt.require_range("--draws", self.drawn, 0, MOST_DRAWS)
+        opt.require_range("--checkpoint-seconds", self.checkpoint_seconds, 0)
         if self.drawn and self.preset in PAPER_PRESETS:
             raise OptionError(
                 f"--draws needs the noise of the photographs, which --preset {self.preset} does "
                 "not estimate; omit one of them."
+            )
+
+    def _check_checkpoint(self, checkpoint: Path) -> None:
+        if self.resume:
+            if not checkpoint.exists():
+                raise OptionError(f"{self.output}: no checkpoint to resume from; omit --resume.")
+        elif self.overwrite:
+            checkpoint.unlink(missing_ok=True)
+        elif checkpoint.exists():
+            raise OptionError(
+                f"{self.output}: an interrupted run has left a checkpoint; continue it with "
+                "--resume, or start again with --overwrite."
             )
 
     def _recover(self, progress: Progress, place: Claim) -> IntervalSummary:
@@ -109,7 +129,7 @@ class Recover(LitCommand, ResultCommand):
         options = self._options()  # fail before any work
         size = opt.parse_resolution(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
-        capture, texels = self.load_with_light(progress, need, size, self.known)
+        capture, texels = self.load_with_light(progress, need, size, self.known, again=self.resume)
         _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
         # Losses of the paper are combined with the posterior of its model.
@@ -120,7 +140,9 @@ class Recover(LitCommand, ResultCommand):
             given = estimate(seen, preset=switches, known=fixed, progress=progress)
         recovery = recover(
             given or seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
-            parameters=self.parameters, start=initial, progress=progress, **options,
+            parameters=self.parameters, start=initial, checkpoint=place.draft / CHECKPOINT,
+            resume=self.resume, checkpoint_seconds=self.checkpoint_seconds, progress=progress,
+            **options,
         )  # fmt: skip
         known = recovery.estimate or given or estimate(seen, preset=model, progress=progress)
         print_prediction(progress, known)
@@ -151,3 +173,9 @@ class Recover(LitCommand, ResultCommand):
             epochs = path.epochs if self.epochs is None else self.epochs
             options["path"] = replace(path, epochs=epochs, seed=self.seed)
         return options
+
+
+def _advice(checkpoint: Path) -> str:
+    if checkpoint.exists():
+        return "interrupted; a checkpoint is kept: continue with the same command and --resume"
+    return "interrupted before the first step; run the same command again"

@@ -18,6 +18,11 @@ from pathlib import Path, PurePosixPath
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 PROCESS = Path("/proc/self")
 MEMINFO = Path("/proc/meminfo")
 GROUPS = Path("/sys/fs/cgroup")
@@ -101,7 +106,10 @@ FEWER_PIXELS = {
     "import": "reading photographs of at most {} pixels",
 }
 FEWER_TEXELS = dict.fromkeys(("export", "inpaint"), "svu recover --resolution {}")
-START = 0.25e9  # bytes of a process with all libraries
+SPARE = 0.45  # bytes of address space that are reserved in addition, per byte of texels
+ARENAS = 0.15e9, 0.13e9  # address space of allocators: constant, and per thread beyond two
+START, START_ADDRESS = 0.25e9, 1.2e9  # memory and address space of a process with all libraries
+STACK = 9e6  # address space of every thread beyond two
 MOST_SHRUNK = 64
 GIGA = 1e9
 
@@ -190,7 +198,7 @@ class Need:
         return f"Needs up to {_giga(self.bytes)} GB of memory{there}"
 
     def require(self, label: str = "") -> None:
-        """Raise CaptureError if memory is insufficient."""
+        """Raise CaptureError if memory or address space is insufficient."""
         label = f"{label}: " if label else ""
         room = _room()
         if self.bytes > room:
@@ -198,11 +206,24 @@ class Need:
                 f"{label}needs {_giga(self.bytes)} GB of memory, {_giga(room)} GB available; "
                 f"{self._advice(room) or 'use a machine with more memory'}."
             )
+        most, used = address_space() or (inf, 0)
+        begun = used - resident() + ARENAS[0] + ARENAS[1] * max(_threads() - 2, 0)
+        needed = begun + self._reserved()
+        if needed > most:
+            less = self._advice(most - begun, reserved=True)
+            raise CaptureError(
+                f"{label}needs {_giga(needed)} GB of address space, but ulimit -v allows "
+                f"{_giga(most)} GB; raise the limit{less and f'; {less} of memory'}."
+            )
 
-    def _advice(self, room: float) -> str:
+    def _reserved(self) -> float:
+        """Return the bytes of address space for ``bytes`` of memory."""
+        return self.bytes + SPARE * self._parts()[1]
+
+    def _advice(self, room: float, reserved: bool = False) -> str:
         """Return advice on how many pixels or texels fit into ``room``; empty if none do."""
         shrink, small = 1, self
-        while small.bytes > room:
+        while (small._reserved() if reserved else small.bytes) > room:
             photographs, texels = small._parts()
             if shrink == MOST_SHRUNK or max(small.resolution) == 1:
                 return ""
@@ -258,6 +279,12 @@ def require_start() -> None:
             f"needs {_giga(START)} GB of memory to start, {_giga(room)} GB available; close other "
             "programs."
         )
+    least, most = START_ADDRESS + STACK * max(_threads() - 2, 0), (address_space() or (inf,))[0]
+    if most < least:
+        raise SvuEnvironmentError(
+            f"needs {_giga(least)} GB of address space to start, but ulimit -v allows "
+            f"{_giga(most)} GB; raise the limit."
+        )
 
 
 def cores() -> int:
@@ -298,6 +325,14 @@ def allow(size: int) -> None:
 def resident() -> int:
     """Return the resident memory of this process in bytes; 0 if unknown."""
     return held("VmRSS") or 0
+
+
+def address_space() -> tuple[int, int] | None:
+    """Return (limit, use) of the address space in bytes; None without ``ulimit -v``."""
+    if resource is None:
+        return None
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if most in (-1, resource.RLIM_INFINITY) else (most, held("VmSize") or 0)
 
 
 def held(name: str) -> int | None:

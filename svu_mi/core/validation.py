@@ -7,7 +7,7 @@ from dataclasses import fields
 from numbers import Integral, Real
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from svu_mi.core.memory import Size, free_memory
+from svu_mi.core.memory import Size, address_space, free_memory
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 
 MAX_LANES = 2**32 - 1  # per kernel launch
@@ -78,16 +78,23 @@ def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:
 
 
 def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:
-    """Raise ``error`` if ``size`` bytes exceed the free memory.
+    """Raise ``error`` if ``size`` bytes exceed the free memory or address space.
 
     ``what`` (a plural) is the subject of the message, and ``fix`` its remedy.
     """
-    free = free_memory()
+    known = [free_memory(), _free_address_space()]
+    free = min((room for room in known if room is not None), default=None)
     if free is not None and size > free:
         raise error(
             f"{what} take at least {size / GIGA:.3g} GB of memory, but only {free / GIGA:.3g} GB "
             f"are free; {fix}."
         )
+
+
+def _free_address_space() -> int | None:
+    """Return the bytes of unused address space; None without a limit."""
+    space = address_space()
+    return None if space is None else max(space[0] - space[1], 0)
 
 
 def require_texels(resolution: Size, option: str) -> None:

@@ -1,7 +1,8 @@
 """Gradient descent on textures: Adam with bounds and early stopping.
 
 An *objective* is a function ``objective(textures, step)`` that takes a dictionary of tensors and
-returns one differentiable Float.
+returns one differentiable Float. It must depend on these arguments only, so that a resumed run
+gives the same result as an uninterrupted one.
 
     descent = descend(lambda t, step: dr.mean(dr.square(t["roughness"] - 0.3), axis=None),
                       {"roughness": start}, DescentOptions(steps=100))
@@ -19,9 +20,11 @@ import mitsuba as mi
 import numpy as np
 from drjit.opt import Adam
 
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.interrupts import between_steps
 from svu_mi.core.progress import Stage
 from svu_mi.errors import SvuError
+from svu_mi.recovery.checkpoint import Checkpoint, DescentState
 
 if TYPE_CHECKING:
     from svu_mi.recovery.recovery_options import DescentOptions
@@ -52,6 +55,7 @@ def descend(
     start: Mapping[str, Any],
     options: DescentOptions,
     *,
+    checkpoint: Checkpoint | None = None,
     progress: Stage | None = None,
 ) -> Descent:
     """Minimise an objective with Adam and clip parameters to bounds after each step.
@@ -60,20 +64,33 @@ def descend(
         objective: Function ``objective(textures, step)``, see the module.
         start: Initial parameters, TensorXf by name; values outside the bounds are clipped.
         options: Number of steps, learning rates, bounds and stopping criterion.
+        checkpoint: File for states; the descent resumes from it if ``checkpoint.resume``. A
+            ``KeyboardInterrupt`` saves the last complete step and is raised again.
         progress: Display of steps, loss, rate and remaining time.
 
     Raises:
         SvuError: The loss or a gradient is NaN or infinite.
     """
     run = _DescentRun(objective, start, options)
-    with between_steps() as answer:
-        while run.step < options.steps and not run.has_converged():
-            run.advance()
-            if run.step % READ_EVERY == 0 or run.step == options.steps or run.ends_window():
-                run.read()
-                if progress is not None:
-                    run.show(progress)
-            answer()
+    if checkpoint is not None and checkpoint.resume:
+        run.resume(checkpoint)
+    try:
+        with between_steps() as answer:
+            while run.step < options.steps and not run.has_converged():
+                run.advance()
+                if run.step % READ_EVERY == 0 or run.step == options.steps or run.ends_window():
+                    run.read()
+                    if progress is not None:
+                        run.show(progress)
+                    if checkpoint is not None and checkpoint.due:
+                        checkpoint.save(run.state())
+                answer()
+    except KeyboardInterrupt:
+        if checkpoint is not None:
+            checkpoint.save(run.state())
+        raise
+    if checkpoint is not None:
+        checkpoint.save(run.state())
     return Descent(
         values=run.values(), losses=np.array(run.losses, np.float32), steps=run.step,
         stopped="finished" if run.step == options.steps else "converged",
@@ -87,7 +104,11 @@ def rate(options: DescentOptions, step: int) -> float:
 
 
 class _DescentRun:
-    """State of a running descent."""
+    """State of a running descent.
+
+    ``step``, optimizer state and unread losses are assigned together at the end of a step. An
+    interrupt during a step thus leaves the state of the previous one.
+    """
 
     def __init__(
         self, objective: Objective, start: Mapping[str, Any], options: DescentOptions
@@ -99,7 +120,7 @@ class _DescentRun:
         for name, tensor in start.items():
             self._optimizer[name] = self._project(mi.TensorXf(tensor))
         self.losses: list[float] = []  # without ``_unread``
-        self.step = 0
+        self.step, self._state = 0, dict(self._optimizer.state)
         self._unread: tuple[tuple[Any, Any], ...] = ()  # losses and flags of invalid gradients
         self._clock: tuple[int, float] | None = None
 
@@ -121,7 +142,8 @@ class _DescentRun:
             optimizer[name] = self._project(optimizer[name])
         seen = dr.detach(loss)
         dr.eval(seen, broken, optimizer.state)
-        self.step, self._unread = step + 1, (*self._unread, (seen, broken))
+        unread = (*self._unread, (seen, broken))
+        self.step, self._state, self._unread = step + 1, dict(optimizer.state), unread
 
     def read(self) -> None:
         """Wait for the device and read losses; raise an error if one is not finite."""
@@ -164,7 +186,36 @@ class _DescentRun:
 
     def values(self) -> dict[str, Any]:
         """Return the parameters as detached TensorXf."""
-        return {name: mi.TensorXf(dr.detach(value)) for name, value in self._optimizer.items()}
+        return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._state.items()}
+
+    def state(self) -> DescentState:
+        """Return a NumPy copy of the last complete step."""
+        self.read()
+        entries = self._state.items()
+        return DescentState(
+            step=self.step,
+            values={name: np.array(dr.detach(entry[0])) for name, entry in entries},
+            first={name: np.array(entry[3][1]) for name, entry in entries},
+            second={name: np.array(entry[3][2]) for name, entry in entries},
+            losses=np.array(self.losses[: self.step], np.float32),
+        )
+
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Load the state of a checkpoint, if its file exists."""
+        optimizer = self._optimizer
+        shapes = {name: tuple(value.shape) for name, value in optimizer.items()}
+        state = checkpoint.load(shapes)
+        if state is None:
+            return
+        for name, shape in shapes.items():
+            kept = (state.values, state.first, state.second)
+            last, *moments = (to_drjit(mi.Float, values[name].ravel()) for values in kept)
+            optimizer[name] = mi.TensorXf(last, shape=shape)
+            value, promoted, own_rate, (_, _, _, most) = optimizer.state[name]
+            count = mi.UInt32(state.step)
+            optimizer.state[name] = value, promoted, own_rate, (count, *moments, most)
+        self.losses = state.losses.tolist()
+        self.step, self._state = state.step, dict(optimizer.state)
 
     def _project(self, tensor: Any) -> Any:
         return dr.clip(dr.detach(tensor), self._options.low, self._options.high)

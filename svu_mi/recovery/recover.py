@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -30,6 +31,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate, capture_and_texels, observations_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.recovery.adam import Descent, Objective, descend
+from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.initialisation import posterior_means
 from svu_mi.recovery.path.pixel_loss import path_objective
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, method_options
@@ -51,7 +53,8 @@ def recover(
     source: Capture | Observed | Estimate, texels: Texels | None = None, method: Method = "sh",
     preset: str = "default", *, sharing: GlobalSharing | bool = False, tv: float | None = None,
     parameters: Sequence[str] = NAMES, start: Textures | None = None, sh: ShOptions | None = None,
-    path: PathOptions | None = None, progress: Progress | None = None,
+    path: PathOptions | None = None, checkpoint: str | Path | None = None, resume: bool = False,
+    checkpoint_seconds: float = 30.0, progress: Progress | None = None,
 ) -> Recovery:  # fmt: skip
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4).
 
@@ -72,19 +75,25 @@ def recover(
         start: Initial textures; default: smoothed posterior means (sh) or 0.5 (path).
         sh: Options of ``sh``, instead of the preset's.
         path: Options of ``path``, instead of the preset's.
+        checkpoint: File (.npz) to which the state of the last descent is saved.
+        resume: True to continue from ``checkpoint`` if the file exists.
+        checkpoint_seconds: Seconds between saved states.
         progress: Display of stages; collects timings.
 
     Raises:
-        OptionError: An option is invalid.
+        OptionError: An option is invalid, or the checkpoint belongs to another run.
         ShapeError: The resolution of ``start`` differs from the texels'.
         CaptureError: No texel is seen in any photograph.
         SvuError: The loss or a gradient is NaN or infinite.
+        OutputError: The checkpoint cannot be read or written.
 
     Example:
         >>> textures = svu.recover(estimate, tv=0.3).textures
         >>> textures.base_color.shape, textures.roughness.shape
         ((64, 64, 3), (64, 64, 1))
     """
+    if resume and checkpoint is None:
+        raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
     names = check_choices(method, sharing, parameters)
     options, progress = method_options(method, preset, sh, path, tv), progress or Progress()
     require_resolution(capture_and_texels(source, texels)[1], start)
@@ -93,11 +102,12 @@ def recover(
         _ = observed.distant_light  # raises an error for a black environment map before any work
     given = source if isinstance(source, Estimate) else None
     run = RecoveryRun(method, observed, given, names, options, start, sharing, progress)
+    saved = None if checkpoint is None else run.checkpoint(checkpoint, resume, checkpoint_seconds)
     textures = start or run.default_start()
     if method != "path":
-        textures, descent = _recover_by_sh(run, textures)
+        textures, descent = _recover_by_sh(run, textures, saved if method == "sh" else None)
     if method != "sh":
-        textures, descent = _recover_by_path(run, textures)
+        textures, descent = _recover_by_path(run, textures, saved)
     return Recovery(
         method=method, texels=run.texels, textures=textures, coverage=observed.coverage,
         losses=descent.losses, stopped=descent.stopped, settings=run.settings,
@@ -106,13 +116,13 @@ def recover(
     )  # fmt: skip
 
 
-def _recover_by_sh(run: RecoveryRun, start: Textures) -> Result:
+def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
     """Fit the reflection model, starting at smoothed posterior means."""
     options = run.options["sh"]
     data = _sh_loss(run, options)
     if options.loss == "statistics" and options.closed_form and run.start is None:
         start = _smoothed(run, options, start.but(**run.free(posterior_means(run.estimate))))
-    return _minimise(run, "Descending (SH)", start, data, options)
+    return _minimise(run, "Descending (SH)", start, data, options, checkpoint)
 
 
 def _sh_loss(run: RecoveryRun, options: ShOptions) -> Objective:
@@ -144,7 +154,7 @@ def _smoothed(run: RecoveryRun, options: ShOptions, means: Textures) -> Textures
     return smoothing.laid_out(means, descent.values)
 
 
-def _recover_by_path(run: RecoveryRun, start: Textures) -> Result:
+def _recover_by_path(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:
     """Fit path-traced renderings to batches of pixels of the photographs."""
     options = run.options["path"]
     if run.capture.flash is not None:
@@ -155,12 +165,12 @@ def _recover_by_path(run: RecoveryRun, start: Textures) -> Result:
     with run.progress.stage("Preparing rays"):
         data = path_objective(run.capture, run.texels, options, fixed=start, views=views)
     options = replace(options, descent=replace(options.descent, steps=data.steps))
-    return _minimise(run, "Descending (path tracing)", start, data, options)
+    return _minimise(run, "Descending (path tracing)", start, data, options, checkpoint)
 
 
 def _minimise(
     run: RecoveryRun, title: str, start: Textures, data: Objective,
-    options: ShOptions | PathOptions,
+    options: ShOptions | PathOptions, checkpoint: Checkpoint | None,
 ) -> Result:  # fmt: skip
     """Minimise L over the parameters to recover; others keep the values of ``start``."""
     sharing = run.sharing_term(options)
@@ -170,7 +180,9 @@ def _minimise(
     fixed = {name: tensor for name, tensor in start.items() if name not in run.names}
     objective = regularized(data, terms, fixed)
     with run.progress.stage(title, options.descent.steps) as stage:
-        descent = descend(objective, run.free(start), options.descent, progress=stage)
+        descent = descend(
+            objective, run.free(start), options.descent, checkpoint=checkpoint, progress=stage
+        )
     textures = Textures(**(fixed | descent.values))
     # Losses that compare texels have no gradient in the gutters, so these are filled again.
     return lay_out(run.texels, {name: textures.at(run.texels, name) for name in NAMES}), descent

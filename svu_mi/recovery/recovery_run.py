@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from math import sqrt
+from pathlib import Path
 from typing import Any, get_args
 
 from svu_mi.core.progress import Progress
@@ -17,8 +18,10 @@ from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.initialisation import estimate_for_textures, known_parameters
 from svu_mi.recovery.paper_settings import PaperSettings
+from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.regularizers.total_variation import TotalVariation
@@ -82,6 +85,12 @@ class RecoveryRun:
                 "method": given.method, **asdict(given.preset), "known": self.known
             }  # fmt: skip
         return settings
+
+    def checkpoint(self, path: str | Path, resume: bool, seconds: float) -> Checkpoint:
+        """Return a checkpoint with the settings and input digests of this run."""
+        posterior = None if self.given is None else self.given.posterior
+        content = recovery_digests(self.capture, self.texels, self.start, self.sharing, posterior)
+        return Checkpoint(path, self.settings, content=content, resume=resume, every=seconds)
 
     def _sharing_record(self) -> bool | dict[str, Any]:
         """Return ``sharing`` for the record: False, True (common prior) or its settings."""

@@ -182,6 +182,7 @@ def test_photographs_key_ignores_light_and_material(gray_ball, tmp_path):
 
 
 def test_doubt_is_a_part_of_the_light(gray_ball):
+    """A recovery cannot be resumed under a light with a different uncertainty."""
     known, doubtful = (
         svu.with_light(gray_ball, replace(made_up_light(), widening=widening))
         for widening in (1.0, 2.0)

@@ -23,7 +23,9 @@ from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.capture.unwrap import unwrap
-from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.exr import read_exr, read_header, write_exr
+from svu_mi.core.io.folder_exchange import DRAFT, beside
+from svu_mi.core.io.provenance import RUN
 from svu_mi.errors import (
     CaptureError,
     OptionError,
@@ -184,13 +186,110 @@ def stopping(monkeypatch):
     return seen
 
 
-def test_an_interrupted_render_leaves_nothing(tmp_path, capsys, stopping, variant):
+def interrupt(path, out):
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+
+
+def draft_of(out):
+    return beside(out, DRAFT)
+
+
+def test_an_interrupted_render_is_continued(tmp_path, capsys, stopping, variant):
+    """By the photographs that it would have made, and no view is rendered twice."""
     path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
-    before = names(tmp_path)
-    assert run("render", path, "--spp", 2, "-o", out) == 130
-    assert capsys.readouterr().err == "svu: interrupted\n" and names(tmp_path) == before
-    assert run("render", path, "--spp", 2, "-o", out) == 0 and stopping == [0, 1, 2, 0, 1, 2, 3]
+    words = ("render", path, "--spp", 2, "-o", out)
+    assert fails(capsys, *words, "--resume") == (
+        f"svu: {out}: no interrupted run to resume; omit --resume."
+    )
+    assert run(*words) == 130
+    assert capsys.readouterr().err == (
+        "svu: interrupted; 2 views are kept: continue with the same command and --resume\n"
+    )
+    assert fails(capsys, *words, "--resume", "--spp", 3) == (
+        f"svu: {out}: the interrupted run had other options or another scene; restore these, "
+        "or omit --resume to start again."
+    )
+    del stopping[:-1]
+    assert run(*words, "--resume") == 0
+    assert stopping == [2, 2, 3]
+    whole = render_capture(path, spp=2)
     assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    again = load_capture(out)
+    for one, other in zip(again.images, whole.images, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
+INTEGRATOR = '<integrator type="path">'
+CHANGES = {
+    "max_depth": (INTEGRATOR, INTEGRATOR + '<integer name="max_depth" value="2"/>'),
+    "hide_emitters": (INTEGRATOR, INTEGRATOR + '<boolean name="hide_emitters" value="true"/>'),
+    "integrator": ('"path"', '"direct"'),
+    "filter": ("</film>", '<rfilter type="box"/></film>'),
+    "sampler": ("</sensor>", '<sampler type="stratified"/></sensor>'),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+@pytest.mark.usefixtures("stopping")
+def test_an_interrupted_render_is_not_mixed_with_another(tmp_path, change):
+    """What renders otherwise is something else."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    plain = path.read_text().replace('<integrator type="direct"/>', INTEGRATOR + "</integrator>")
+    path.write_text(plain)
+    interrupt(path, out)
+    assert plain.replace(*change) != plain
+    path.write_text(plain.replace(*change))
+    with pytest.raises(OutputError, match="had other options or another scene"):
+        render_capture(path, spp=1, folder=out, resume=True)
+    path.write_text(plain)
+    assert render_capture(path, spp=1, folder=out, resume=True).count == 4
+
+
+def linked(path, foreign):
+    path.unlink()
+    path.symlink_to(foreign)
+
+
+UNUSABLE = {
+    "a link": linked,
+    "cut": lambda path, _: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "of another run": lambda path, foreign: shutil.copy(foreign, path),
+    "of another size": lambda path, _: write_exr(
+        path, {"RGB": np.ones((8, 8, 3))}, {RUN: read_header(path).attributes[RUN]}
+    ),
+    "a folder": lambda path, _: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("spoil", UNUSABLE.values(), ids=UNUSABLE)
+def test_only_whole_views_of_an_interrupted_render_are_kept(tmp_path, stopping, spoil):
+    """Another one is rendered again, and what is no view at all does not get into the capture."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    foreign = tmp_path / "foreign.exr"
+    write_exr(foreign, {"RGB": np.ones((24, 24, 3))}, {RUN: "0" * 16})
+    interrupt(path, out)
+    draft = draft_of(out)
+    spoil(draft / "view_0001.exr", foreign)
+    (draft / "mask_0000.png").symlink_to(foreign)
+    before = foreign.read_bytes()
+    del stopping[:-1]
+    capture = render_capture(path, spp=1, folder=out, resume=True)
+    assert stopping == [2, 1, 2, 3] and foreign.read_bytes() == before
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    assert not any(file.is_symlink() for file in out.iterdir())
+    whole = render_capture(path, spp=1)
+    np.testing.assert_allclose(capture.images[1], whole.images[1], rtol=1e-5)
+
+
+@pytest.mark.usefixtures("stopping")
+def test_a_render_that_keeps_nothing_clears_what_was_kept(tmp_path):
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    interrupt(path, out)
+    assert len(names(draft_of(out))) == 2
+    render_capture(path, spp=1, folder=out)
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    assert not draft_of(out).exists()
 
 
 def test_a_luminance_film_gives_grey_photographs(tmp_path):

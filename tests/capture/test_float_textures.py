@@ -8,7 +8,7 @@ import pytest
 from support.png_scene import srgb_to_linear, write_png_scene
 
 import svu_mi as svu
-from svu_mi.capture.content_hash import _shapes, capture_key
+from svu_mi.capture.content_hash import capture_key, scene_key
 from svu_mi.capture.float_textures import as_stored
 from svu_mi.capture.rendering import plan_render
 from svu_mi.capture.scene import load_scene
@@ -39,12 +39,12 @@ def test_float_textures_have_the_values_of_the_files(tmp_path, channels):
     shown = [np.array(mi.render(scene, spp=4)) for scene in (plain, floats)]
     np.testing.assert_allclose(*shown, rtol=1e-5, atol=1e-6)
     # The digest of a scene does not depend on how textures are stored, and it sees each code.
-    keys = [_shapes(scene, scene.shapes()[0]).digest() for scene in (plain, floats)]
+    keys = [scene_key(scene, scene.shapes()[0]) for scene in (plain, floats)]
     assert keys[0] == keys[1]
     codes["base_color"][3, 5, 0] += 1
     write_png_scene(tmp_path, codes)
     other = load_scene(path, float_textures=True)
-    assert _shapes(other, other.shapes()[0]).digest() != keys[0]
+    assert scene_key(other, other.shapes()[0]) != keys[0]
 
 
 def test_textures_that_are_no_codes_are_kept():

@@ -16,6 +16,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from support.helpers import fails, run
@@ -31,6 +32,7 @@ from svu_mi.cli.batch.runner import (
     Outcome,
     ProcessResult,
     last_sentence,
+    work_on_cluster,
 )
 from svu_mi.cli.batch.steps import STEPS, command_words, read_done, step_key, write_done
 from svu_mi.cli.main import parse
@@ -100,6 +102,9 @@ def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
     assert "no such folder or table" in fails(capsys, "batch", tmp_path / "x", "-o", tmp_path / "o")
     words = ("batch", tmp_path, "--steps", "export", "-o", tmp_path / "o")
     assert "needs the textures of recover" in fails(capsys, *words)
+    for workers in (2, 3):
+        words = ("batch", tmp_path, "--scheduler", "x:1", "--workers", workers)
+        assert "has no effect with --scheduler" in fails(capsys, *words, "-o", tmp_path / "o")
 
 
 def test_results_inside_captures_are_refused(shelf_of, tmp_path, capsys):
@@ -239,6 +244,47 @@ def test_killed_command_is_retried_failed_one_is_not(shelf_of, tmp_path):
     assert shelf.work(item, Made([-9] * 3)).sentence == "entropy: was killed 3 times (signal 9)"
     outcome = shelf.work(item, Made([2]))
     assert outcome.sentence == "entropy: went wrong" and not read_done(outcome.folder)
+
+
+def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
+    item = BatchItem("a", shelf_of("a") / "a")
+    shelf = BatchRunner(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
+    left = shelf.output / "a" / STEPS["recover"].checkpoint
+
+    class Killed(Made):
+        def run(self, words):
+            left.parent.mkdir(parents=True, exist_ok=True)
+            left.touch()
+            return super().run(words)
+
+    killed = Killed([-9] * 3)
+    assert shelf.work(item, killed).sentence
+    assert ["--resume" in line for line in killed.lines] == [False, True, True]
+    again = Made()
+    assert shelf.work(item, again).steps_run == 1 and again.lines[0][-1] == "--resume"
+
+
+def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
+    item = BatchItem("a", shelf_of("a") / "a")
+    shelf = BatchRunner(output=tmp_path / "out", steps=["recover"])
+    left = shelf.output / "a" / STEPS["recover"].checkpoint
+
+    def tried(*statuses):
+        commands = Made(statuses)
+        outcome = shelf.work(item, commands)
+        return outcome.sentence, ["--resume" in line for line in commands.lines], left.exists()
+
+    assert tried(2)[0]
+    left.parent.mkdir(parents=True)
+    left.write_bytes(b"half a checkpo")
+    assert tried(130) == (
+        "recover: went wrong",
+        [True],
+        True,
+    )  # after Ctrl-C the checkpoint is valid
+    assert tried(2, 2) == ("recover: went wrong", [True, False], False)
+    left.touch()
+    assert tried(2) == ("", [True, False], False)
 
 
 def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch):
@@ -429,8 +475,12 @@ def test_commands_are_trusted_if_the_batch_is(shelf_of, tmp_path, monkeypatch, g
     assert {"--trust" in line for line in commands.lines} == {bool(given)}
 
 
-def test_two_batches_do_not_write_one_result(shelf_of, tmp_path):
-    item = BatchItem("a", shelf_of("a") / "a")
+def test_second_worker_waits_and_reuses_results(shelf_of, tmp_path):
+    """A second run, for example after a killed one, waits for the lock."""
+    item, shelf = (
+        BatchItem("a", shelf_of("a") / "a"),
+        BatchRunner(output=tmp_path / "out", patience=60),
+    )
 
     class Slow(Made):
         def run(self, words):
@@ -441,8 +491,30 @@ def test_two_batches_do_not_write_one_result(shelf_of, tmp_path):
         with ThreadPoolExecutor(2) as threads:
             return list(threads.map(lambda _: shelf.work(item, Slow()), range(2)))
 
+    assert sorted(one.steps_run for one in outcomes(shelf)) == [0, 4]
     said = sorted(one.sentence for one in outcomes(BatchRunner(output=tmp_path / "other")))
     assert not said[0] and "is writing there; wait for it" in said[1]
+
+
+def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypatch):
+    """A worker has one task per thread, but each command uses all threads."""
+    distributed = pytest.importorskip("distributed")
+    state, memory = SimpleNamespace(nthreads=4), SimpleNamespace(memory_limit=10**9)
+    worker = SimpleNamespace(state=state, memory_manager=memory)
+    monkeypatch.setattr(distributed, "get_worker", lambda: worker)
+    at_work, most = [], []
+
+    def work(self, item, processes):
+        at_work.append(item.name)
+        most.append(len(at_work))
+        time.sleep(0.05)
+        at_work.remove(item.name)
+
+    monkeypatch.setattr(BatchRunner, "work", work)
+    shelf = BatchRunner(output=tmp_path)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda name: work_on_cluster(shelf, BatchItem(name, tmp_path)), "abcd"))
+    assert most == [1, 1, 1, 1]
 
 
 # --- whole runs -------------------------------------------------------------------------------
@@ -464,10 +536,10 @@ def maps(out: Path) -> dict[str, bytes]:
 @pytest.mark.slow
 def test_killed_workers_give_the_same_maps(shelf_of, tmp_path):
     folder = shelf_of("a", "b")
-    words = ["batch", folder, *SMALL, "--steps", "entropy"]
+    words = ["batch", folder, *SMALL, "--steps", "entropy", "recover"]
     assert run(*words, "-o", tmp_path / "one") == 0
     expected = maps(tmp_path / "one")
-    assert len(expected) >= 4
+    assert len(expected) >= 6
 
     out = tmp_path / "killed"
     line = [sys.executable, "-m", "svu_mi", *map(str, words), "--workers", "2", "-o", str(out)]

@@ -148,7 +148,7 @@ def test_every_option_is_known():
     options = Conversion(
         mesh="m.ply", mesh_up="y", world_up="z", mesh_scale=2.0, geometry_only=True,
         environment=Light(path=Path("l.exr"), to_world=ENVIRONMENT_AXES["blender"], scale=2.0),
-        exposures="exif", shrink=2.0, every=2, missing="leave-out",
+        exposures="exif", response=Path("r"), shrink=2.0, every=2, missing="leave-out",
         fixes=("mesh-x90", "camera-inverse"),
     )  # fmt: skip
     reading = ReadOptions(

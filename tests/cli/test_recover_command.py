@@ -1,4 +1,4 @@
-"""``svu recover``: files, bad input, and Ctrl-C."""
+"""``svu recover``: files, bad input, and Ctrl-C with ``--resume``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from unittest.mock import MagicMock
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import fails, last_line, names, run
+from support.helpers import fails, last_line, names, run, sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli.base_command import was_interrupted
 from svu_mi.core.interrupts import between_steps
 from svu_mi.core.io.exr import read_exr, write_exr
+from svu_mi.core.io.folder_exchange import DRAFT, beside
+from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.errors import OutputError
 from svu_mi.output.relight_page import view_file_names
 from svu_mi.output.texture_files import read_textures, write_textures
@@ -97,6 +99,27 @@ def test_textures_that_are_not_asked_for_stay(shot, tmp_path, no_pictures):
     assert np.ptp(textures["roughness"]) > 0 and np.ptp(textures["base_color"]) > 0
 
 
+@pytest.mark.slow
+def test_a_scene_that_recover_renders_is_rendered_once(tmp_path, capsys, monkeypatch, no_pictures):
+    path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
+    words = ("recover", path, "-o", tmp_path / "out", "--resolution", 24, "--render", "--spp", 2,
+             "--steps", 20)  # fmt: skip
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 12)
+        assert run(*words) == 130
+    photograph = tmp_path / "out" / "capture" / "view_0003.exr"
+    before = photograph.stat().st_mtime_ns
+    assert run(*words, "--resume", "--spp", 3) == 2
+    assert "was rendered with --spp 2; restore that, or" in capsys.readouterr().err
+    text = path.read_text()
+    path.write_text(text.replace('value="35"', 'value="36"', 1))
+    assert run(*words, "--resume") == 2
+    assert "rendered with other sensors than the scene has now" in capsys.readouterr().err
+    path.write_text(text)
+    assert run(*words, "--resume") == 0
+    assert photograph.stat().st_mtime_ns == before
+
+
 def interrupt_after(monkeypatch, steps):
     """Interrupt a step of the last descent."""
     advance = adam._DescentRun.advance
@@ -107,6 +130,45 @@ def interrupt_after(monkeypatch, steps):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(adam._DescentRun, "advance", interrupted)
+
+
+def brighter(shot, folder):
+    """Return the capture with one photograph twice as bright."""
+    for path in shot.iterdir():
+        if path.is_file():
+            (folder / path.name).write_bytes(path.read_bytes())
+    image = read_exr(folder / "view_0002.exr")
+    write_exr(folder / "view_0002.exr", {c: (1 if c == "A" else 2) * image[c] for c in "RGBA"})
+    return folder
+
+
+@pytest.mark.slow
+def test_resumed_run_gives_the_same_textures(
+    shot, tmp_path, tmp_path_factory, capsys, monkeypatch, no_pictures
+):
+    assert "no checkpoint" in fails(capsys, "recover", shot, "-o", tmp_path / "out", "--resume")
+    assert recover(shot, tmp_path / "whole") == 0
+    capsys.readouterr()
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 11)
+        assert recover(shot, tmp_path / "out") == 130
+    line = last_line(capsys)
+    assert "a checkpoint is kept" in line and "--resume" in line
+    other = brighter(shot, tmp_path_factory.mktemp("other"))
+    for capture, words, said in (
+        (shot, ("--resume", "--tv", 0.5), "another run"), (shot, (), "--resume"),
+        (other, ("--resume",), "changed since: photographs"),
+    ):  # fmt: skip
+        assert recover(capture, tmp_path / "out", *words) == 2
+        assert said in last_line(capsys)
+    assert names(beside(tmp_path / "out", DRAFT)) == [CHECKPOINT]
+    assert recover(shot, tmp_path / "out", "--resume") == 0
+    assert names(tmp_path / "out") == NUMBERS
+    whole, resumed = maps(tmp_path / "whole"), maps(tmp_path / "out")
+    for name in NAMES:
+        np.testing.assert_array_equal(resumed[name], whole[name])
+    losses = [(tmp_path / f / "losses.csv").read_text() for f in ("whole", "out")]
+    assert losses[0] == losses[1]
 
 
 def test_an_interrupt_that_was_wrapped_is_one():
@@ -153,6 +215,7 @@ BAD = {
     "tv": (["--tv", "-1"], "tv"),
     "steps": (["--steps", "-3"], "steps"),
     "epochs": (["--method", "path", "--epochs", "0"], "epochs"),
+    "seconds": (["--checkpoint-seconds", "-1"], "seconds"),
 }  # common options are tested in test_main.py
 
 
@@ -260,13 +323,3 @@ def test_known_parameters_are_textures_of_their_value(shot, tmp_path):
     assert np.ptp(read_exr(out / "base_color.exr")["G"]) > 0.1
     record = json.loads((out / "run.json").read_text())
     assert record["settings"]["used"]["estimate"]["known"] == {"metallic": 0.25, "roughness": 0.5}
-
-
-def test_an_interrupted_run_leaves_the_older_result(shot, tmp_path, monkeypatch, no_pictures):
-    assert recover(shot, tmp_path / "out") == 0
-    before = maps(tmp_path / "out")
-    interrupt_after(monkeypatch, 11)
-    assert recover(shot, tmp_path / "out") == 130
-    assert names(tmp_path) == ["out"] and maps(tmp_path / "out").keys() == before.keys()
-    for name, texture in maps(tmp_path / "out").items():
-        np.testing.assert_array_equal(texture, before[name])

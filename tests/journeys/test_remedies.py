@@ -28,6 +28,7 @@ entropy cap {SIZE} --memory 4X | such as 4G | entropy cap {SIZE} --memory 4G -o 
 entropy cap {SIZE} -m llvm_ad | omit -m, or use | entropy cap {SIZE} -o new
 entropy cap {SIZE} -D window | -D takes KEY=VALUE | entropy cap {SIZE} -D light=window -o new
 entropy less {SIZE} | --missing leave-out | entropy less {SIZE} --missing leave-out -o new
+recover cap {SIZE} --steps 3 --resume | omit --resume | recover cap {SIZE} --steps 3 -o new
 recover cap {SIZE} --epochs 1 | --epochs has no effect with --method sh; omit it. | recover cap {SIZE} --steps 3 -o new
 recover cap {SIZE} --draws 2 --preset paper | omit one of them | recover cap {SIZE} --draws 2 --steps 3 -o new
 export maps | svu recover | export textures -o new

@@ -12,7 +12,8 @@ import pytest
 from support.helpers import as_tensor
 
 from svu_mi.errors import OptionError, SvuError
-from svu_mi.recovery.adam import descend
+from svu_mi.recovery.adam import READ_EVERY, descend
+from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.recovery_options import DescentOptions
 
 SHAPE = (8, 12, 3)
@@ -107,13 +108,20 @@ def test_it_stops_when_the_loss_falls_no_further():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_nan_loss_names_its_step(bad):
+def test_nan_loss_names_its_step_and_keeps_the_checkpoint(tmp_path, bad):
+    path = tmp_path / "c.npz"
+
     def objective(textures, step):
         factor = dr.opaque(mi.Float, bad if step == 17 else 1.0)
         return factor * towards(truth())(textures, step)
 
     with pytest.raises(SvuError, match="loss of step 17 is NaN or infinite"):
-        descend(objective, half(), DescentOptions(steps=40))
+        descend(objective, half(), DescentOptions(steps=40),
+                checkpoint=Checkpoint(path, {}, every=0.0))  # fmt: skip
+    kept = Checkpoint(path, {}).load({"base_color": SHAPE})
+    assert kept.step == READ_EVERY
+    assert np.isfinite(kept.values["base_color"]).all()
+    assert np.isfinite(kept.losses).all()
 
 
 def test_nan_gradient_of_a_finite_loss_is_named():
@@ -170,6 +178,26 @@ def test_progress_shows_loss_rate_and_remaining_time():
     assert watcher.texts[0].startswith("loss 0.")
     assert "rate 0.0" in watcher.texts[0]
     assert watcher.texts[1].endswith("s left")
+
+
+def test_interrupt_saves_the_last_complete_step(tmp_path):
+    path = tmp_path / "c.npz"
+
+    def stopping(textures, step):
+        if step == 13:
+            raise KeyboardInterrupt
+        return towards(truth())(textures, step)
+
+    with pytest.raises(KeyboardInterrupt):
+        descend(stopping, half(), DescentOptions(steps=30), checkpoint=Checkpoint(path, {}))
+    assert Checkpoint(path, {}).load({"base_color": SHAPE}).step == 13
+    resumed = descend(towards(truth()), half(), DescentOptions(steps=30),
+                      checkpoint=Checkpoint(path, {}, resume=True))  # fmt: skip
+    whole = descend(towards(truth()), half(), DescentOptions(steps=30))
+    assert np.array_equal(resumed.losses, whole.losses)
+    assert np.array_equal(
+        np.array(resumed.values["base_color"]), np.array(whole.values["base_color"])
+    )
 
 
 def resident():

@@ -18,6 +18,7 @@ from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.texels import texels as lay_texels
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.adam import descend
+from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.path.pixel_batches import PixelBatches
 from svu_mi.recovery.path.pixel_loss import FLOOR, LOSSES, path_objective
 from svu_mi.recovery.path.textured_scene import PathScene
@@ -336,6 +337,30 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
     color = np.array(descent.values["base_color"])[1:5].mean(axis=(0, 1))  # off the poles
     assert np.abs(color - (0.6, 0.4, 0.2)).max() < 0.02
     assert descent.losses[-5:].mean() < 0.5 * descent.losses[:3].mean()
+
+
+@pytest.mark.slow
+def test_resumed_run_equals_uninterrupted_run(capture, grid, tmp_path):
+    """Except for the order of additions by threads, which Adam's division amplifies."""
+    settings = DescentOptions(steps=15, learning_rate=0.01)
+    start = dict(uniform_textures(grid).items())
+    whole = descend(path_objective(capture, grid, options()), start, settings)
+    objective = path_objective(capture, grid, options())
+
+    def stopping(textures, step):
+        if step == 8:
+            raise KeyboardInterrupt
+        return objective(textures, step)
+
+    with pytest.raises(KeyboardInterrupt):
+        descend(stopping, start, settings, checkpoint=Checkpoint(tmp_path / "c.npz", {}))
+    assert 8 % objective.batches.epoch != 0
+    resumed = descend(path_objective(capture, grid, options()), start, settings,
+                      checkpoint=Checkpoint(tmp_path / "c.npz", {}, resume=True))  # fmt: skip
+    assert np.allclose(resumed.losses, whole.losses, rtol=1e-3)
+    for name in NAMES:
+        a, b = np.array(resumed.values[name]), np.array(whole.values[name])
+        assert np.abs(a - b).max() < 2e-3
 
 
 @pytest.mark.slow

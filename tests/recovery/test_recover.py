@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -13,7 +14,7 @@ from support.helpers import as_tensor, launched_kernels, render_ball
 
 import svu_mi as svu
 from svu_mi.capture.capture import Capture
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -342,7 +343,7 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
     for words, sentence in (
         ({"preset": "best"}, "Unknown preset"), ({"method": "nerf"}, "Unknown method"),
         ({"parameters": ["albedo"]}, "parameters must be one or more"),
-        ({"parameters": []}, "parameters must be one or more"),
+        ({"parameters": []}, "parameters must be one or more"), ({"resume": True}, "resume"),
         ({"sharing": 0.5}, "sharing must be True, False"),
     ):  # fmt: skip
         with pytest.raises(OptionError, match=sentence):
@@ -359,6 +360,34 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
 def brief() -> ShOptions:
     steps = DescentOptions(steps=2)
     return replace(SH_PRESETS["default"], smoothing=steps, descent=steps)
+
+
+def test_a_checkpoint_of_another_estimate_is_refused(known: svu.Estimate, tmp_path: Path) -> None:
+    kept = tmp_path / "checkpoint.npz"
+    svu.recover(known, sh=brief(), checkpoint=kept)
+    svu.recover(known, sh=brief(), checkpoint=kept, resume=True)
+    other = svu.estimate(known, prior=only_metals())
+    with pytest.raises(SvuError, match="changed since: posterior"):
+        svu.recover(other, sh=brief(), checkpoint=kept, resume=True)
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("what", ["masks", "sensors", "sharing"])
+def test_a_checkpoint_of_another_capture_is_refused(
+    capture: Capture, grid: Texels, tmp_path: Path, what: str
+) -> None:
+    """The photographs are equal; sensors, masks or sharing differ."""
+    kept, other = tmp_path / "checkpoint.npz", capture
+    svu.recover(capture, grid, sh=brief(), checkpoint=kept)
+    svu.recover(capture, grid, sh=brief(), checkpoint=kept, resume=True)
+    if what == "masks":
+        mask = np.ones(capture.images[0].shape[:2], bool)
+        other = replace(capture, masks=(mask, *capture.masks[1:]))
+    elif what == "sensors":
+        other = replace(capture, sensors=capture.sensors[::-1])
+    with pytest.raises(SvuError, match=f"checkpoint.*{what}"):
+        svu.recover(other, grid, sh=brief(), sharing=what == "sharing", checkpoint=kept,
+                    resume=True)  # fmt: skip
 
 
 @pytest.mark.slow

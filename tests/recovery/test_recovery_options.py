@@ -19,6 +19,7 @@ from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.presets import PRESETS, preset
 from svu_mi.recovery import recover as entry
 from svu_mi.recovery.path.pixel_loss import PathObjective
+from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import (
     BOTH_PRESETS,
     PATH_PRESETS,
@@ -275,3 +276,12 @@ def test_custom_sharing_is_recorded(seen, recorded):
     assert recorded.sharing == [rule]
 
 
+# ---- checkpoints ----
+
+
+def test_anchored_is_part_of_the_fingerprint(seen, capture, grid):
+    rules = (GlobalSharing(seen, seeds=[3, 8], anchored=anchored) for anchored in (True, False))
+    marks = [
+        recovery_digests(capture, grid, None, rule, None)["seeds of sharing"] for rule in rules
+    ]
+    assert marks[0] != marks[1]

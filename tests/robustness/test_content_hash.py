@@ -17,10 +17,12 @@ from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.hashes import digest_of, digest_of_file
-from svu_mi.errors import SvuWarning
+from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.recovery.recovery_hash import recovery_digests
+from svu_mi.recovery.recovery_options import SH_PRESETS, DescentOptions
 
 # The scene has another shape, which reflects light; a change of the material is unsupported.
 IGNORED = "ignore:Light reflected by|.* which svu does not account for:svu_mi.errors.SvuWarning"
@@ -223,5 +225,40 @@ def test_computed_normals_do_not_change_the_capture_key(scene, tmp_path):
     for _ in range(3):
         capture = load_capture(path, shape="ball")
         layout = svu.texels(capture.mesh, (8, 8))
-        keys.add(reference_cache.locate(tmp_path, capture, layout, 5, options).name)
+        content = recovery_digests(capture, layout, None, False, None)
+        keys.add(
+            (reference_cache.locate(tmp_path, capture, layout, 5, options).name, *content.values())
+        )
     assert len(keys) == 1
+
+
+@pytest.fixture(scope="module")
+def kept(capture, tmp_path_factory):
+    path = tmp_path_factory.mktemp("kept") / "checkpoint.npz"
+    recover(capture, path)
+    return path
+
+
+def recover(capture, path, **options):
+    steps = DescentOptions(steps=2)
+    brief = replace(SH_PRESETS["default"], smoothing=steps, descent=steps)
+    grid = svu.texels(capture.mesh, (8, 8))
+    return svu.recover(capture, grid, sh=brief, checkpoint=path, **options)
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["field of view", "principal point", "other shape", "integrator depth", "distribution"],
+)
+def test_a_resumed_run_says_in_words_what_has_changed(scene, kept, change):
+    old, new, part = CHANGES[change]
+    path = scene.with_name("resumed.xml")
+    path.write_text(scene.read_text().replace(old, new))
+    with pytest.raises(OptionError, match="belongs to another run") as caught:
+        recover(load_capture(path), kept, resume=True)
+    assert f"(changed since: {part})" in str(caught.value)
+    assert str(kept) in str(caught.value)
+
+
+def test_a_run_that_did_not_change_goes_on(scene, kept):
+    assert len(recover(load_capture(scene), kept, resume=True).losses) == 2

@@ -89,7 +89,7 @@ def test_kill_at_any_step_leaves_old_or_new_result(tmp_path, monkeypatch, next_i
 
 
 def test_a_single_file_is_the_old_or_the_new_one_too(tmp_path):
-    """So are written: pages, caches and texture coordinates beside a capture."""
+    """So are written: checkpoints, pages, caches and texture coordinates beside a capture."""
     path, step, texts = tmp_path / "unwrapped.ply", 0, []
     stopped = True
     while stopped:

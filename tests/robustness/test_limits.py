@@ -255,7 +255,9 @@ POSES = {
         "cameras.txt": b"".join(b"%d PINHOLE 16 8 20 20 8 4\n" % k for k in range(MANY)),
         "images.txt": b"",
     },
+    "llff": lambda: {"poses_bounds.npy": npy(np.zeros((MANY, 17)))},
     "idr": lambda: {"cameras.npz": npz({f"world_mat_{k}": np.zeros(1) for k in range(2 * MANY)})},
+    "owl": lambda: {"exposure.txt": b"0", **{f"camera_{k:05d}.txt": b"" for k in range(MANY)}},
     "transforms": lambda: {"transforms.json": b'{"frames": [%s{}]}' % (b"{}," * (MANY - 1))},
 }  # fmt: skip
 

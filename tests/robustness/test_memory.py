@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.announced import announced_and_taken, prepared, words
-from support.helpers import fails, run
+from support.announced import RUN, announced_and_taken, prepared, words
+from support.helpers import fails, python, run
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -32,10 +32,11 @@ def needed(command, photographs, resolution=(0, 0), model="default", **sizes) ->
     return Need(command, Sizes(photographs, **sizes), resolution, model)
 
 
-def machine(monkeypatch, free: float) -> None:
-    """Pretend that so much is free."""
+def machine(monkeypatch, free: float, space: float | None = None) -> None:
+    """Pretend that so much is free, and that a process of nothing may use so much."""
     monkeypatch.setattr(memory, "free_memory", lambda: int(free))
     monkeypatch.setattr(memory, "resident", lambda: 0)
+    monkeypatch.setattr(memory, "address_space", lambda: space and (int(space), 0))
 
 
 def refused(need: Need) -> str:
@@ -106,8 +107,19 @@ def test_error_states_if_no_size_would_fit(monkeypatch):
     )
 
 
+def test_address_space_is_checked_too(monkeypatch):
+    machine(monkeypatch, 23e9, 2e9)
+    said = refused(needed("entropy", [(512, 512)] * 60, (512, 512)))
+    assert re.fullmatch(
+        r"capture: needs [\d.]+ GB of address space, but ulimit -v allows 2 GB; raise the limit; "
+        r"--resolution 256 needs 0.98 GB of memory\.",
+        said,
+    ), said
+
+
 def test_unknown_free_memory_refuses_nothing(monkeypatch):
     monkeypatch.setattr(memory, "free_memory", lambda: None)
+    monkeypatch.setattr(memory, "address_space", lambda: None)
     needed("entropy", SIXTY * 1000, (4096, 4096)).require()
     memory.require_start()
     assert needed("check", []).sentence() == "Needs up to 0.4 GB of memory"
@@ -183,6 +195,44 @@ def test_free_memory_is_that_of_an_old_group(proc):
 
 COMMANDS = ("entropy", "recover", "guide", "report", "check", "compare", "light")
 linux = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+
+
+@linux
+@pytest.mark.parametrize("command", ["entropy", "import", "demo"])
+def test_half_of_the_address_space_is_refused_in_a_sentence(command, tmp_path):
+    place = () if command == "demo" else (tmp_path,)
+    done = python("-c", RUN, 0.6e9, command, *place)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"svu: needs [\d.]+ GB of address space to start, but ulimit -v allows 0.6 GB; raise the "
+        r"limit.\n",
+        done.stderr,
+    ), done.stderr
+
+
+@linux
+@pytest.mark.parametrize(("command", "space"), [
+    ("entropy", 1.4e9),  # works tile by tile: 1.9e9 are enough
+    pytest.param("guide", 1.4e9, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_too_little_address_space_for_texels_is_refused_early(command, space, shot, tmp_path):
+    """It was signal 11, in the middle of the work."""
+    done = python("-c", RUN, space, *words(command, shot, tmp_path, 1024))
+    assert done.returncode == 2, done.stderr
+    line = done.stderr.splitlines()[-1]
+    if line.startswith("svu: --resolution: 1024 x 1024 texels take at least "):
+        return  # not even a grid of them fits
+    assert line.startswith(f"svu: {shot}: needs "), line
+    assert f"GB of address space, but ulimit -v allows {space / 1e9:.2g} GB; raise" in line
+
+
+@linux
+def test_films_above_the_address_space_are_not_rendered(tmp_path):
+    """It was signal 11, too, after half of the views."""
+    place = ("render", scenes.path("vase"), "--views", 20, "--resolution", 2048)
+    done = python("-c", RUN, 1.3e9, *place, "-D", "light=window", "-o", tmp_path / "out")
+    assert done.returncode == 2, done.stderr
+    assert "20 photographs of up to 2048 x 2048 pixels take at least" in done.stderr
 
 
 @pytest.mark.parametrize("command", COMMANDS)

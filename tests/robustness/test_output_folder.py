@@ -43,6 +43,13 @@ def test_no_file_stays_open(tmp_path, out):
     assert not [path for path in opened if path.startswith(str(tmp_path))]
 
 
+def test_a_draft_may_lose_files_meanwhile(out):
+    with claimed(out, "import") as place:
+        (place.draft / "a").write_text("o")
+        place.clear(lambda path: path.unlink())  # as a cleaner of temporary files does
+        assert names(place.draft) == []
+
+
 def test_a_folder_made_for_nothing_is_removed(tmp_path):
     with pytest.raises(ZeroDivisionError), claimed(tmp_path / "a" / "b" / "out", "import"):
         1 / 0  # noqa: B018

@@ -44,7 +44,7 @@ def in_steps(capture: svu.Capture, exposure: float) -> svu.Capture:
     )
 
 
-@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+@pytest.mark.parametrize("transfer", ["srgb", "gamma 2.2", "linear"])
 @pytest.mark.parametrize("bits", [8, 16])
 def test_steps_match_differences_of_codes(bits, transfer):
     codes = np.arange(2**bits, dtype=np.float64)

@@ -39,11 +39,11 @@ ROOMS = (("capture",), ("posterior",), ("output",), ("cli/batch",))
 MACHINERY = (
     ("capture",), ("core/io",), ("output/viewer",),
     ("cli/batch", "cli/loading.py", "cli/import_.py"),
-    ("calibration/light/light_folder.py", "evaluation/reference_cache.py",
+    ("calibration/light/light_folder.py", "evaluation/reference_cache.py", "recovery/checkpoint.py",
      "output/run_record.py", "output/texture_files.py"),
 )  # fmt: skip
 NEAR = ("capture", "core", "robustness", "cli", "journeys", "calibration/test_light_folder.py",
-        "output/test_viewer.py", "output/test_write_recovery.py",
+        "recovery/test_checkpoint.py", "output/test_viewer.py", "output/test_write_recovery.py",
         "evaluation/test_traced_posterior.py")  # fmt: skip
 OPERATORS = ("negate a condition", "drop a statement", "swap two arguments",
              "change a constant", "off by one", "widen a limit")  # fmt: skip

@@ -24,12 +24,13 @@ from PIL import Image
 from support import image_files
 from support.colmap import write_colmap
 from support.helpers import ball, sensor_xml, write_scene
+from support.owl import write_owl
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import capture_folder, loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.image_io import open_image
-from svu_mi.capture.importers.convert_photographs import convert_photograph
+from svu_mi.capture.importers.convert_photographs import convert_photograph, with_response
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.exposure_list import with_exif_gains, with_listed_gains
 from svu_mi.capture.importers.lens_distortion import Lens
@@ -123,6 +124,12 @@ def normalisation(folder: Path, out: Path) -> None:
     """Move a mesh out of nerfstudio's normalised world."""
     applied = AppliedWorld(np.diag([1.0, -1, -1, 1]), 2.0)
     assert np.isfinite(read_normalisation(folder / "dataparser_transforms.json", applied)).all()
+
+
+def response(folder: Path, out: Path) -> None:
+    """Decode a photograph by what was measured."""
+    (frame,) = with_response([frame_of(folder / "view_0000.png")], folder / "curve.txt")
+    convert_photograph(frame, out / "view.exr", (1.0, 1.0))
 
 
 def capture(folder: Path, out: Path) -> None:
@@ -309,6 +316,14 @@ def _alicevision(folder: Path) -> None:
     (folder / "cameras.sfm").write_text(json.dumps(record))
 
 
+def _llff(folder: Path) -> None:
+    for name in ("images/view_0000.png", "images/view_0001.png", "masks/view_0000.png"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        write_integers(folder, name, "RGB")
+    matrix = np.array([[0, 1, 0, 1, HEIGHT], [-1, 0, 0, 2, WIDTH], [0, 0, 1, 3, 20]], np.float64)
+    np.save(folder / "poses_bounds.npy", [[*matrix.ravel(), 1, 9]] * 2)
+
+
 def _idr(folder: Path) -> None:
     for name in ("image/0.png", "image/1.png", "mask/0.png", "mask/1.png"):
         (folder / name).parent.mkdir(exist_ok=True)
@@ -316,6 +331,10 @@ def _idr(folder: Path) -> None:
     world = np.array([[20.0, 0, 8, 1], [0, 21, 4, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
     arrays = {"world_mat": world, "scale_mat": np.diag([2.0, 2, 2, 1])}
     np.savez(folder / "cameras.npz", **{f"{n}_{k}": arrays[n] for n in arrays for k in (0, 1)})
+
+
+def _owl(folder: Path) -> None:
+    write_owl(folder, _source(folder.parent / "other"))
 
 
 def _exposures(folder: Path) -> None:
@@ -328,6 +347,11 @@ def _exposures(folder: Path) -> None:
 def _normalisation(folder: Path) -> None:
     record = {"transform": np.eye(4)[[1, 2, 0]].tolist(), "scale": 0.5}
     (folder / "dataparser_transforms.json").write_text(json.dumps(record))
+
+
+def _response(folder: Path) -> None:
+    write_integers(folder, "view_0000.png", "RGB")
+    (folder / "curve.txt").write_text("# code R G B\n0 0 0 0\n128, .2, .3, .25\n\n255 2 1 1.5\n")
 
 
 def _imported(folder: Path) -> None:
@@ -411,9 +435,9 @@ def _all_formats() -> Iterator[Format]:
         ("transforms", _transforms, "*.json", "."),
         ("transforms-distorted", _distorted, "*.json", "."),
         ("colmap-binary", _colmap, "*.bin", "."),
-        ("colmap-text", partial(_colmap, text=True), "*.txt", "."),
+        ("colmap-text", partial(_colmap, text=True), "*.txt", "."), ("owl", _owl, "*.txt", "test"),
         ("alicevision", _alicevision, "*.sfm", "."),
-        ("idr", _idr, "*.npz", "."),
+        ("llff", _llff, "*.npy", "."), ("idr", _idr, "*.npz", "."),
         ("orb", _orb, "*_t*.json", "blender_HDR/ball_scene001"),
     ):  # fmt: skip
         read = partial(source, place=place)
@@ -421,6 +445,7 @@ def _all_formats() -> Iterator[Format]:
     yield Format(name="svu import", make=_imported, read=program, share=10)
     yield Format(name="exposures", make=_exposures, read=exposures)
     yield Format(name="normalisation", make=_normalisation, read=normalisation)
+    yield Format(name="response", make=_response, read=response)
     yield Format(name="capture", make=write_scene_capture, read=capture, share=4)
     yield Format(name="scene", make=_scene, read=scene, targets="*.xml", share=2)
     yield Format(name="shapes", make=_shapes, read=target, share=2)

@@ -1,4 +1,4 @@
-"""Fuzzed files that svu writes and reads back: records and caches."""
+"""Fuzzed files that svu writes and reads back: records, checkpoints, caches."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from svu_mi.output.result_maps import read_result as read_maps
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, read_textures, recovery_settings, write_textures
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.recovery.checkpoint import Checkpoint, DescentState
 from svu_mi.recovery.svbrdf_textures import Textures
 
 SETTINGS = {"seed": 3, "sh": {"descent": {"steps": 9, "rate": 0.01}, "name": "ball"}, "tv": None}
@@ -43,6 +44,25 @@ SHAPES = {"base_color": (4, 6, 3), "roughness": (4, 6, 1)}
 OPTIONS = ReferenceOptions(2, PrincipledGrid(2, 2, 2), 0.5, 2, "linear", 0)
 logging.getLogger("svu_mi.core.io").setLevel(logging.ERROR)  # says what it keeps
 REFERENCE = f"reference-{'0a' * 16}.npz"
+
+
+def _checkpoint(folder: Path) -> Checkpoint:
+    return Checkpoint(folder / "checkpoint.npz", SETTINGS, content=CONTENT, resume=True)
+
+
+def write_checkpoint(folder: Path) -> None:
+    rng = np.random.default_rng(812)
+    values = {name: rng.random(shape, np.float32) for name, shape in SHAPES.items()}
+    flat = {name: value.ravel() for name, value in values.items()}
+    losses = rng.random(4, np.float32)
+    _checkpoint(folder).save(
+        DescentState(step=4, values=values, first=flat, second=flat, losses=losses)
+    )
+
+
+def read_checkpoint(folder: Path, out: Path) -> None:
+    state = _checkpoint(folder).load(SHAPES)
+    assert state is None or len(state.losses) == state.step
 
 
 def write_reference(folder: Path) -> None:
@@ -205,6 +225,7 @@ def _archive(arrays: dict[str, np.ndarray], draw: random.Random) -> bytes:
 mutations.BY_SUFFIX[".npz"] = (*BINARY, *[rebuilt_npz] * 8)
 
 RECORDS = (
+    Format(name="checkpoint", make=write_checkpoint, read=read_checkpoint),
     Format(name="light", make=write_found_light, read=read_found_light, share=3),
     Format(name="reference", make=write_reference, read=read_reference, share=2),
     Format(name="recovered", make=write_recovered, read=read_recovered, share=2),

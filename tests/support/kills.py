@@ -33,6 +33,7 @@ from svu_mi.capture.loading import load_capture
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import restore
+from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.core.io.provenance import RECORDS, entry_of
 from svu_mi.output.texture_files import read_textures
 
@@ -49,7 +50,8 @@ COMMANDS: dict[str, tuple[Words, Callable[[Path], object]]] = {
     "import": (lambda at: (at / "transforms.json", "--mesh", at / "ball.ply", "--environment",
                            at / "light.exr"), load_capture),
     "entropy": (lambda at: (at / "shelf/shot", *SMALL), lambda out: read_exr(out / "entropy.exr")),
-    "recover": (lambda at: (at / "shelf/shot", *SMALL, "--steps", 40), read_textures),
+    "recover": (lambda at: (at / "shelf/shot", *SMALL, "--steps", 40, "--checkpoint-seconds", 0),
+                read_textures),
     "batch": (lambda at: (at / "shelf", *SMALL, "--steps", "entropy"),
               lambda out: read_exr(out / ENTROPY / "entropy.exr")),
     "light": (lambda at: (at / "around", *SMALL, "--texels", 100, "--depths", 64, 4),
@@ -137,7 +139,8 @@ def killed(place: Place, chance: random.Random, at: Path, atomic: bool) -> str:
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     kept = "old" if place.run(at) == place.older else "new"
-    svu(*place.words("b", at))
+    resumes = place.name == "recover" and list(at.glob(f".out*/{CHECKPOINT}"))
+    svu(*place.words("b", at), *(["--resume"] if resumes else []))
     assert place.run(at) != place.older
     left = [path for path in at.rglob(".*") if path.name != ".svu-lock"]
     assert not left and names(at) == ["out"], left

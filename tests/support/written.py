@@ -14,6 +14,8 @@ from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
 from support.colmap import write_colmap
+from support.owl import write_owl
+from support.photographs import white_of
 from svu_mi.bench.orb.orb_results import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.calibration.checks.surface_samples import base_color
 from svu_mi.capture.capture import Capture
@@ -65,11 +67,14 @@ def write(capture: Capture, form: Format, folder: Path) -> Written:
     """
     parts, root = prepare_folder(folder / "parts"), prepare_folder(folder / form)
     source = source_of(capture, parts)
-    if form == "stanford-orb":
+    if form == "owl":
+        path = as_owl(root, source, exposure=-float(np.log2(white_of(capture))))
+    elif form == "stanford-orb":
         path = as_orb(root, in_camera_frame(source, parts))
     else:
         path = WRITERS[form](root, source)
-    return Written(path, ImportOptions() if form == "stanford-orb" else ImportOptions(
+    is_whole = form in ("owl", "stanford-orb")
+    return Written(path, ImportOptions() if is_whole else ImportOptions(
         mesh=source.mesh, environment=source.light))  # fmt: skip
 
 
@@ -142,6 +147,12 @@ def as_colmap(root: Path, source: Source) -> Path:
     return root
 
 
+def as_owl(root: Path, source: Source, exposure: float | None = None) -> Path:
+    """Write an object of Objects with Lighting; return what is to be imported."""
+    write_owl(root, source, exposure=exposure)
+    return root
+
+
 def as_orb(root: Path, source: Source) -> Path:
     """Write one capture of Stanford-ORB; return what is to be imported.
 
@@ -181,5 +192,6 @@ def _paint(mesh: Path, base_color: np.ndarray) -> None:
 WRITERS: dict[Format, Callable[[Path, Source], Path]] = {
     "transforms": as_transforms,
     "colmap": as_colmap,
+    "owl": as_owl,
     "stanford-orb": as_orb,
 }

@@ -1,1 +1,1 @@
-"""Importers of captures: NeRF and nerfstudio, COLMAP, IDR, and data sets."""
+"""Importers of captures: NeRF and nerfstudio, COLMAP, LLFF, IDR, and data sets."""

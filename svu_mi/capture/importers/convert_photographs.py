@@ -14,6 +14,7 @@ from PIL import Image
 from svu_mi.capture.crop import LARGE
 from svu_mi.capture.image_formats.color_space import to_linear_srgb
 from svu_mi.capture.image_io import ImageFile, open_image
+from svu_mi.capture.importers.camera_response import read_response
 from svu_mi.capture.importers.resampling import average_area, undistort_planes
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.load_warnings import clipped_where
@@ -31,7 +32,7 @@ from svu_mi.capture.photographs import (
 from svu_mi.capture.quantization import SATURATED, quantization_steps, saturation_radiance
 from svu_mi.capture.tone_curve import SampledCurve, linearize
 from svu_mi.core.io.exr import write_exr
-from svu_mi.errors import are, counted
+from svu_mi.errors import OptionError, are, counted
 
 BORDER = 0.9  # share of border pixels in a mask, from which it counts as inverted
 CLIPPED_LAYER = "clipped."  # prefix of R, G or B
@@ -69,6 +70,19 @@ class ConvertedPhotograph:
     masked: bool
     empty: bool
     inverted: bool
+
+
+def with_response(frames: Sequence[Frame], response: str | Path | None) -> Sequence[Frame]:
+    """Return frames with the response curve of a file; unchanged if ``response`` is None."""
+    if response is None:
+        return frames
+    if not any(open_image(frame.image).bits for frame in frames):
+        raise OptionError(
+            f"--response: {frames[0].image.name} and all other photographs are linear (EXR, HDR, "
+            "PFM); omit this option."
+        )
+    transfer = read_response(Path(response))
+    return [replace(frame, transfer=transfer) for frame in frames]
 
 
 def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> ConvertedPhotograph:
@@ -127,7 +141,7 @@ def convert_photograph(frame: Frame, path: Path, scale: tuple[float, float]) -> 
     if bits:
         first_step, last_step = quantization_steps(transfer, bits)
         header |= {FIRST_STEP: first_step, LAST_STEP: last_step}
-    # Half floats represent all 8-bit codes, unless a curve of a profile puts some close together.
+    # Half floats represent all 8-bit codes, unless a response curve puts some close together.
     half = bits == 8 and not isinstance(transfer, SampledCurve)
     write_exr(path, channels, header, half=half)
     return _describe(picture, frame, mask, clipped, black, invalid)

@@ -57,8 +57,6 @@ SIGNATURES = tuple((re.compile(pattern, re.DOTALL), kind, remedy) for pattern, k
     (rb'\s*\{(\s*"poses"\s*:\s*\[\s*\[|(?=.*"(K|perFrameIntrinsicCoeffs)"\s*:\s*\[)'
      rb'(?!.*"(frames|train_filenames)"))', "metadata of Record3D",
      NERFSTUDIO.format("record3d") + " from the export EXR + RGB"),
-    (rb"\x93NUMPY", "an array such as the poses of LLFF",
-     "import the COLMAP project that LLFF made poses_bounds.npy from"),
     (rb"BLENDER", "a Blender scene",
      "export poses as transforms.json, for example with the add-on BlenderNeRF"),
     (rb"PK\x03\x04.{26}[^\0]{1,200}\.usd[ac]", "a model of Apple's Object Capture, without poses",

@@ -31,6 +31,7 @@ from svu_mi.capture.importers.convert_photographs import (
     ConvertedPhotograph,
     convert_photograph,
     photograph_notes,
+    with_response,
 )
 from svu_mi.capture.importers.duplicate_frames import duplicate_notes
 from svu_mi.capture.importers.envmap import write_environment
@@ -237,7 +238,7 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     fixes = find_fixes([*between, *options.fixes])
     there, left_out = _existing_frames(source, options)
     gained, known, about_gains = with_gains(there, options.exposures)
-    frames = _prepare_frames(gained, source, fixes)
+    frames = _prepare_frames(gained, source, options, fixes)
     mesh, light = options.mesh or source.mesh, options.environment or source.light
     if light is not None and not light.path.is_file():
         raise CaptureError(
@@ -275,13 +276,14 @@ def _existing_frames(source: Source, options: ImportOptions) -> tuple[list[Frame
 
 
 def _prepare_frames(
-    there: Sequence[Frame], source: Source, fixes: Sequence[AxisFix]
+    there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[AxisFix]
 ) -> list[Frame]:
     """Return frames with corrected poses, scaled to the size of their photographs."""
     if not there:
         raise CaptureError(f"{source.root}: has no photographs.")
     frames = []
-    for frame, picture in zip(there, _fitted_pictures(there), strict=True):
+    given = with_response(there, options.response)
+    for frame, picture in zip(given, _fitted_pictures(given), strict=True):
         poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":

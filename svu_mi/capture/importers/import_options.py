@@ -93,6 +93,9 @@ class ImportOptions:
     (all are equal); estimate (unknown: commands estimate them together with the light). Default:
     gains of the source, else EXIF if all photographs have it, else none for EXR, HDR and PFM
     and estimate for other files."""
+    response: str | Path | None = None
+    """Measured response curve of PNG and JPEG, if not sRGB: a text file with lines ENCODED LINEAR
+    or ENCODED R G B (default: the curve of the source, else sRGB)."""
     shrink: float = 1.0
     """Divisor of the width and height of photographs, at least 1. Increase it to save memory if
     pixels are smaller than texels."""

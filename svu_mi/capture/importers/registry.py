@@ -21,17 +21,27 @@ if TYPE_CHECKING:
     Format = str
 
 # Module of each format, in the order of detection. Stanford-ORB also has transforms_train.json;
-# AliceVision's file may be JSON, too; the COLMAP model next to a table of IDR contains the lens.
+# AliceVision's file may be JSON, too; the COLMAP model next to tables of LLFF and IDR contains the
+# lens.
 FORMATS = {
     "stanford-orb": "stanford_orb",
     "alicevision": "alicevision",
     "transforms": "nerf",
     "colmap": "colmap.project",
+    "llff": "llff",
     "idr": "idr",
+    "owl": "objects_with_lighting",
 }
 AUTO = "auto"
 SEARCHED = 100  # subfolders, if a folder has no known format
-FOLDERS = ("alicevision", "transforms", "colmap", "idr")  # formats without a fixed layout of files
+FOLDERS = (
+    "alicevision",
+    "transforms",
+    "colmap",
+    "llff",
+    "idr",
+)  # formats without a fixed layout of files
+TABLES = ("llff", "idr")  # formats whose file may lie next to files of other formats
 
 if not TYPE_CHECKING:
     Format: Any = Literal[(AUTO, *FORMATS)]
@@ -65,9 +75,10 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     """Read the cameras and the file paths of a capture that another tool made.
 
     Args:
-        path: file ``transforms.json``, ``cameras.sfm`` (Meshroom),
+        path: file ``transforms.json``, ``cameras.sfm`` (Meshroom), ``poses_bounds.npy`` (LLFF),
             ``cameras_sphere.npz`` or ``cameras.npz`` (IDR, NeuS), or the folder that contains it;
-            or the folder of a COLMAP project or model, or of a Stanford-ORB scene.
+            or the folder of a COLMAP project or model, a Stanford-ORB scene, or an object of
+            Objects with Lighting.
         options: options of reading; defaults if None.
 
     Raises:
@@ -102,19 +113,21 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         _module("foreign_formats").refuse_foreign(path)
         raise CaptureError(
             f"{path}: not a capture of a known format; give a folder that contains "
-            "transforms.json, cameras.sfm, a COLMAP model, cameras_sphere.npz "
-            "or Stanford-ORB."
+            "transforms.json, cameras.sfm, a COLMAP model, poses_bounds.npy, cameras_sphere.npz, "
+            "Stanford-ORB or Objects with Lighting."
         )
     if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(
-            "--images and --masks are for transforms.json, Meshroom, COLMAP and IDR, but "
+            "--images and --masks are for transforms.json, Meshroom, COLMAP, LLFF and IDR, but "
             f"{path} is read as {kind}, whose files have fixed names; omit them."
         )
     source: Source = _reader(kind).read(path, options)
-    if recognised and kind != "idr" and _recognises("idr", path, options.split):
-        note = f"is read as {kind}, but also contains poses of idr; --format idr reads them."
-        return replace(source, notes=[*source.notes, f"{path}: {note}"])
-    return source
+    others = [
+        f"{path}: is read as {kind}, but also contains poses of {name}; --format {name} reads them."
+        for name in (TABLES if recognised and kind not in TABLES else ())
+        if _recognises(name, path, options.split)
+    ]
+    return replace(source, notes=[*source.notes, *others]) if others else source
 
 
 def _recognises(name: str, path: Path, split: str) -> bool:

@@ -28,6 +28,8 @@ from svu_mi.errors import CaptureError
 # up, +Z forward. Each matrix is its own inverse.
 OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])  # +X right, +Y up, looks along -Z: Blender, NeRF
 OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMAP, IDR
+# +X down, +Y right, +Z backwards: LLFF
+DOWN_RIGHT_BACK = np.array([[0.0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 
 LARGEST = 1e30  # limit of numbers in a pose, so that products of three are finite
 MAX_DISTANCE = 1e9  # units; single precision has no details beyond

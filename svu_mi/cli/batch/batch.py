@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -20,6 +21,7 @@ from svu_mi.errors import OptionError
 if TYPE_CHECKING:
     from svu_mi.cli.batch.runner import BatchRunner, Outcome
 
+Address = Annotated[str, arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
 StepName = Literal["entropy", "recover", "report", "export"]
 Steps = Annotated[tuple[StepName, ...], arg(metavar="{entropy,recover,report,export} ...")]
@@ -35,7 +37,7 @@ class Batch(BaseCommand):
     """
 
     uses_matplotlib: ClassVar[bool] = False
-    first = "captures output steps resolution preset workers"
+    first = "captures output steps resolution preset workers scheduler"
     captures: Annotated[Path, Positional, arg(metavar="FOLDER | LIST.csv")]
     """Folder of capture folders; or a table with the column capture and optional columns name,
     resolution, preset, light, images and shape."""
@@ -44,6 +46,9 @@ class Batch(BaseCommand):
     """Commands to run on each capture; export needs recover."""
     workers: int = 1
     """Captures processed at the same time, at least 1, which share threads and memory."""
+    scheduler: Address = ""
+    """Dask scheduler, such as tcp://10.0.0.5:8786; each worker processes one capture at a time and
+    needs access to the same files (default: this machine)."""
     resolution: Size = ()
     """Texels per side, or width and height, if not in the table (default: of each command)."""
     preset: Literal["default", "fixed", "fast", "paper"] | None = None
@@ -67,8 +72,9 @@ class Batch(BaseCommand):
 
         with locked(self.output.resolve()):
             progress = Progress(console)
+            work = partial(runner.run_on_cluster, self.scheduler) if self.scheduler else runner.run
             with interruptible(stopped), progress.stage("Processing captures", len(items)) as stage:
-                for outcome in runner.run(items):
+                for outcome in work(items):
                     outcomes.append(outcome)
                     write_index(self.output, outcomes, len(items) - len(outcomes))
                     stage.update(len(outcomes), len(items))
@@ -85,6 +91,10 @@ class Batch(BaseCommand):
         from svu_mi.cli.batch.steps import STEPS
 
         require_range("--workers", self.workers, 1)
+        if self.scheduler and self.workers > 1:
+            raise OptionError(
+                "--workers has no effect with --scheduler, which has its own workers; omit it."
+            )
         if "export" in self.steps and "recover" not in self.steps:
             raise OptionError("--steps export needs the textures of recover; add recover.")
         options: dict[str, str] = {} if self.preset is None else {"preset": self.preset}
@@ -94,7 +104,9 @@ class Batch(BaseCommand):
         from svu_mi.core.threads import FEWEST_THREADS
 
         threads = self.threads or max((os.cpu_count() or 1) // self.workers, FEWEST_THREADS)
-        words = [*(["--trust"] if self.trust else []), "-t", str(threads)]
+        words = ["--trust"] if self.trust else []
+        if self.threads or not self.scheduler:  # cluster workers have their own threads
+            words += ["-t", str(threads)]
         return BatchRunner(
             output=self.output, steps=[name for name in STEPS if name in self.steps],
             workers=self.workers, variant=self.variant, words=tuple(words), options=options,

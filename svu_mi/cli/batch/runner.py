@@ -1,4 +1,4 @@
-"""Runner of batches: one process per command.
+"""Runner of batches: one process per command, on this machine or a Dask cluster.
 
 Commands run in child processes: the memory of the batch is independent of the number of captures,
 and a command that crashes does not end the batch.
@@ -6,24 +6,26 @@ and a command that crashes does not end the batch.
 
 from __future__ import annotations
 
+import logging
 import os
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from svu_mi.cli.batch.capture_list import BatchItem
+from svu_mi.cli.batch.capture_list import PATHS, BatchItem
 from svu_mi.cli.batch.steps import STEPS, command_words, inputs_key, read_done, step_key, write_done
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.folder_exchange import locked
 from svu_mi.core.io.schema import NUMBER, Field, read_record
 from svu_mi.core.memory import free_memory
-from svu_mi.errors import SvuError, excerpt
+from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 
 PART = Field(NUMBER, (), 0, 1)
 INTERVALS = Field({"seen_part": PART, "all_known_part": PART._replace(default=None)})
@@ -33,6 +35,9 @@ INTERRUPTED = 130  # exit status after Ctrl-C, which also reaches the commands
 KILOBYTE = 1024
 # Boxes that tyro draws around option errors.
 CORNER, LAST_CORNER, RULE, BOX = "╭", "╯", "│ ─", "╭╮╰╯│─ "
+DAY = 86400.0  # seconds
+SECONDS = 30  # timeout of a connection to a scheduler
+_one_at_a_time = threading.Lock()  # a worker runs one task per thread
 
 
 class ProcessResult(NamedTuple):
@@ -75,9 +80,10 @@ class BatchRunner:
     Attributes:
         output: Folder for the results, one subfolder per capture.
         steps: Names of steps, in the order of ``STEPS``.
-        workers: Number of captures processed at the same time.
+        workers: Number of captures processed at the same time on this machine.
         variant: Mitsuba variant.
         words: Arguments passed to every command that leave results unchanged, such as ``-t 2``.
+        patience: Seconds to wait for another process that works on the same capture.
         options: Default options of all captures (``BatchItem.options``).
     """
 
@@ -86,10 +92,11 @@ class BatchRunner:
     workers: int = 1
     variant: str = "auto"
     words: tuple[str, ...] = ()
+    patience: float = 0
     options: dict[str, str] = field(default_factory=dict)
 
     def run(self, items: Sequence[BatchItem]) -> Iterator[Outcome]:
-        """Process captures; yield outcomes as they finish.
+        """Process captures on this machine; yield outcomes as they finish.
 
         Closing the iterator, or an exception such as Ctrl-C, kills running commands.
         """
@@ -105,6 +112,32 @@ class BatchRunner:
                     future.cancel()
                 commands.end()
 
+    def run_on_cluster(self, address: str, items: Sequence[BatchItem]) -> Iterator[Outcome]:
+        """Process captures on Dask workers; tasks of workers that die are repeated by others."""
+        with dask_client(address) as client:
+            from distributed import KilledWorker, as_completed
+
+            if not client.scheduler_info().get("workers"):
+                raise OptionError(
+                    "The cluster has no workers; start some with: dask worker ADDRESS."
+                )
+            # Workers of a stopped batch finish their capture: wait for their locks.
+            there = replace(self, output=self.output.absolute(), patience=DAY)
+            futures = {
+                client.submit(work_on_cluster, there, _absolute(item), pure=False): item
+                for item in items
+            }
+            try:
+                for future in as_completed(futures):
+                    item = futures[future]
+                    try:
+                        yield future.result()
+                    except KilledWorker:
+                        said = "terminated all workers that tried it; see their logs"
+                        yield Outcome(item.name, there.output / item.name, said)
+            finally:
+                client.cancel(list(futures))
+
     def work(self, item: BatchItem, commands: CommandPool) -> Outcome:
         """Run the missing steps of one capture; return errors in ``Outcome.sentence``."""
         item = replace(item, options=self.options | item.options)
@@ -112,7 +145,7 @@ class BatchRunner:
         outcome, done = Outcome(item.name, folder), {}
         try:
             prepare_folder(folder)
-            with locked(folder.resolve()):
+            with locked(folder.resolve(), wait=self.patience):
                 done = read_done(folder)
                 for reached in self._run_steps(item, folder, done, commands):
                     outcome = reached
@@ -142,8 +175,9 @@ class BatchRunner:
             key = step_key(words, key)
             # Results are written atomically: they are complete if their last file exists.
             if done.get(name, {}).get("key") != key or not (folder / step.proof).is_file():
+                left = folder / step.checkpoint if step.checkpoint else None
                 start = time.perf_counter()
-                ended = _run_command(commands, [*words, *self.words])
+                ended = _run_command(commands, [*words, *self.words], left)
                 if ended.status or not (folder / step.proof).is_file():
                     said = ended.message or f"ended with status {ended.status}, without a result"
                     yield replace(outcome, sentence=f"{step.command}: {said}")
@@ -156,10 +190,70 @@ class BatchRunner:
             yield outcome
 
 
-def _run_command(commands: CommandPool, words: Sequence[str]) -> ProcessResult:
-    """Run a command; if a signal kills it, run it again."""
+def work_on_cluster(runner: BatchRunner, item: BatchItem) -> Outcome:
+    """Run the steps of one capture in a cluster worker, with its threads and memory."""
+    from distributed import get_worker
+
+    from svu_mi.core.threads import FEWEST_THREADS
+
+    worker, words = get_worker(), runner.words
+    if "-t" not in words:
+        words += ("-t", str(max(worker.state.nthreads, FEWEST_THREADS)))
+    memory = worker.memory_manager.memory_limit or 0
+    with _one_at_a_time:
+        return replace(runner, words=words).work(item, CommandPool(memory))
+
+
+def _absolute(item: BatchItem) -> BatchItem:
+    """Return an item with absolute paths."""
+    paths = {
+        name: str(Path(item.options[name]).absolute()) for name in PATHS if name in item.options
+    }
+    return replace(item, capture=item.capture.absolute(), options=item.options | paths)
+
+
+@contextmanager
+def dask_client(address: str) -> Iterator[Any]:
+    """Connect to the Dask scheduler at an address, such as ``tcp://10.0.0.5:8786``.
+
+    Yields:
+        A ``distributed.Client``.
+    """
+    try:
+        from distributed import Client
+        from distributed.comm import CommClosedError  # while receiving a result
+    except ImportError as error:
+        raise SvuEnvironmentError(
+            "A scheduler needs Dask; install it with: pip install 'svu_mi[cluster]'."
+        ) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # errors are raised here
+    label = f"--scheduler {excerpt(address, 80)}"
+    try:
+        client = Client(address, timeout=SECONDS)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OptionError(
+            f"{label}: no answer within {SECONDS} s ({excerpt(error, 80)}); start one with: "
+            "dask scheduler."
+        ) from error
+    try:
+        yield client
+    except (CancelledError, CommClosedError) as error:
+        raise SvuError(
+            f"{label}: the connection was lost; run the same command to continue."
+        ) from error
+    finally:
+        with suppress(Exception):  # the connection may be lost
+            client.close()
+
+
+def _run_command(commands: CommandPool, words: Sequence[str], left: Path | None) -> ProcessResult:
+    """Run a command; if a signal kills it, run it again, from the checkpoint ``left`` if any."""
     for _ in range(TRIES):
-        ended = commands.run(words)
+        resumes = left is not None and left.is_file()
+        ended = commands.run([*words, "--resume"] if resumes else words)
+        if resumes and left is not None and ended.status > 0 and ended.status != INTERRUPTED:
+            left.unlink(missing_ok=True)  # damaged, or from other inputs
+            ended = commands.run(words)
         if ended.status >= 0:
             return ended
     return ended._replace(message=f"was killed {TRIES} times (signal {-ended.status})")

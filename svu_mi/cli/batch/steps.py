@@ -12,7 +12,9 @@ from svu_mi import __version__
 from svu_mi.capture.capture_folder import FILE, read, stamps
 from svu_mi.cli.batch.capture_list import OPTIONS, BatchItem, capture_paths, real_path
 from svu_mi.core.io.files import write_json
+from svu_mi.core.io.folder_exchange import DRAFT
 from svu_mi.core.io.hashes import Key
+from svu_mi.core.io.output_folder import CHECKPOINT
 from svu_mi.core.io.schema import NAMES, NUMBER, TEXT, WHOLE, Field, read_record
 from svu_mi.errors import SvuError
 
@@ -33,12 +35,14 @@ class Step:
         output: Output file or folder, relative to the results of the capture.
         proof: File that exists when the step is complete.
         options: Subset of ``OPTIONS`` that the command accepts.
+        checkpoint: File for ``--resume`` that remains if the command is killed; may be empty.
     """
 
     command: str
     output: str
     proof: str
     options: tuple[str, ...] = ()
+    checkpoint: str = ""
 
 
 STEPS = {
@@ -46,6 +50,7 @@ STEPS = {
     "recover": Step(
         "recover", "recovered", "recovered/run.json",
         tuple(name for name in OPTIONS if name != "preset"),
+        checkpoint=f".recovered{DRAFT}/{CHECKPOINT}",
     ),
     "report": Step(
         "report", "report.html", "report.html",

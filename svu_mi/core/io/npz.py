@@ -56,16 +56,23 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     return content
 
 
+def read_foreign_array(path: Path, largest: int) -> np.ndarray:
+    """Read real numbers (float64) from an ``.npy`` file of another program; keep NaN and infinity.
+
+    Raises:
+        ValueError: the file cannot be read, has more than ``largest`` bytes, or other content.
+    """
+    with _opened(path, largest) as file:
+        return _numbers(file.read())
+
+
 def read_foreign_arrays(
     path: Path, wanted: re.Pattern[str], largest: int, most: int
 ) -> dict[str, np.ndarray]:
-    """Read up to ``most`` arrays of real numbers (float64) from an ``.npz`` of another program.
+    """Read up to ``most`` arrays with names like ``wanted`` from an ``.npz`` file.
 
-    NaN and infinity are kept. Names are like ``wanted``.
-
-    Raises:
-        ValueError: the file cannot be read, has other content, or it or the uncompressed arrays
-            have more than ``largest`` bytes.
+    ``largest`` also limits the total size of the uncompressed arrays in bytes (see
+    ``read_foreign_array``).
     """
     with _opened(path, largest) as file, zipfile.ZipFile(file) as archive:
         members = _members(archive, wanted, PACKINGS, largest)

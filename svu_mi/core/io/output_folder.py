@@ -19,8 +19,9 @@ import re
 import secrets
 import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from svu_mi.errors import OutputError, SvuWarning, excerpt
 # Names that stay in captures and results when these are replaced: light estimates, renderings and
 # unwrapped meshes. Keys inside of them decide whether they are still valid.
 KEPT = ("light", "light-gains", "cache", "capture", "unwrapped.ply")
+CHECKPOINT = ".svu-checkpoint.npz"  # file in the draft of an interrupted recovery
 IGNORED = {".DS_Store", "Thumbs.db"}
 # Last line of an HTML page without a record: the digest of the text before it.
 MARK = re.compile(rb"<!-- svu:page=([0-9a-f]{32}) -->\n\Z")
@@ -57,10 +59,11 @@ class Claim(os.PathLike[str]):
     def __fspath__(self) -> str:
         return str(self.folder)
 
-    def clear(self) -> None:
-        """Remove all files from the draft."""
+    def clear(self, keep: Callable[[Path], bool] | None = None) -> None:
+        """Remove all files from the draft, except those for which ``keep`` returns True."""
         for path in list(self.draft.iterdir()) if self.draft.is_dir() else ():
-            _remove(path)
+            if keep is None or not keep(path):
+                _remove(path)
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ class Draft:
 
 @contextlib.contextmanager
 def claimed(
-    folder: str | os.PathLike[str], command: str, *, overwrite: bool = False
+    folder: str | os.PathLike[str], command: str, *, overwrite: bool = False, keep: str = ""
 ) -> Iterator[Claim]:
     """Reserve a result folder for one command until its result is complete.
 
@@ -97,6 +100,7 @@ def claimed(
         folder: path of the result folder; its parents are created. If it is a claim, it is yielded.
         command: name of the command, such as ``entropy``.
         overwrite: True to accept a folder with other files, which is kept as ``NAME.before``.
+        keep: name pattern of files in the draft that stay after a failed run, to resume it.
 
     Raises:
         OutputError: the folder is not writable, contains files that are not an older result of
@@ -108,6 +112,9 @@ def claimed(
     shown, target = Path(folder), Path(os.path.realpath(folder))
     _require_exchangeable(shown, target)
 
+    def is_needed(path: Path) -> bool:
+        return fnmatch(path.name, keep)
+
     absent = [parent for parent in target.parents if not parent.exists()]
     try:
         _prepare_parent(shown, target)
@@ -118,13 +125,13 @@ def claimed(
                 raise _occupied(shown, f"contains other files: {reason}")
             claim = Claim(shown, target, draft, command)
             _move_kept(draft, target)
-            claim.clear()
+            claim.clear(is_needed)
             own = draft.lstat()
             try:
                 yield claim
             finally:
                 if is_at(own, draft):  # no result was written
-                    claim.clear()
+                    claim.clear(is_needed)
     finally:
         for parent in absent:  # rmdir fails if it contains a file
             with contextlib.suppress(OSError):
@@ -133,7 +140,7 @@ def claimed(
 
 @contextlib.contextmanager
 def writing(
-    folder: str | os.PathLike[str], command: str, record: str, *, capture: str = ""
+    folder: str | os.PathLike[str], command: str, record: str, *, capture: str = "", run: str = ""
 ) -> Iterator[Draft]:
     """Yield a draft that becomes the result folder if the block succeeds.
 
@@ -142,11 +149,12 @@ def writing(
         command: name of the command, such as ``entropy``.
         record: name of the JSON file that the block writes last, with ``draft.entries()``.
         capture: key of the capture; empty without one.
+        run: id of the run; random by default.
 
     Raises:
         OutputError: an error of ``claimed``, or a file cannot be written.
     """
-    run = secrets.token_hex(8)
+    run = run or secrets.token_hex(8)
     with claimed(folder, command) as claim:
         marks = {RUN: run, CAPTURE: capture} if capture else {RUN: run}
         try:
@@ -173,7 +181,7 @@ def _put_in_place(claim: Claim) -> None:
     new = draft.rename(unused_name(target)) if other else draft
     with exchanged(new, target):  # from here on, ``new`` names the older folder
         _move_kept(new, target)
-        for path in target.glob(".svu-*"):  # of the command, or of a killed one before it
+        for path in target.glob(".svu-*"):  # only needed to resume a run
             _remove(path)
         if not other:
             shutil.rmtree(draft, ignore_errors=True)

@@ -35,7 +35,6 @@ FILES = {
     ),
     "metadata": ('{"fps":60,"K":[1,0,0],"w":8,"poses":[[0,0]]}', "ns-process-data record3d"),
     "metadata.json": ('{"poses":[[0,0,0,1,0,0,0]', "ns-process-data record3d"),
-    "poses_bounds.npy": ("\x93NUMPY\x01\x00v\x00", "the COLMAP project"),
     "a.blend": ("BLENDER-v405", "transforms.json"),
 }
 

@@ -234,6 +234,12 @@ def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     assert image["G"][1, 2] == pytest.approx((10 / 255) / 12.92, rel=1e-3)
     header = open_image(tmp_path / "view.exr").header.attributes
     assert header[SATURATION] == pytest.approx(((0.98 + 0.055) / 1.055) ** 2.4, rel=1e-5)
+    convert_photograph(
+        photograph(photo, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1)
+    )
+    assert read_exr(tmp_path / "view.exr")["R"][0, 0] == pytest.approx((128 / 255) ** 2.2, rel=1e-3)
+    header = open_image(tmp_path / "view.exr").header.attributes
+    assert header[SATURATION] == pytest.approx(0.98**2.2, rel=1e-5)
 
 
 def test_average_of_saturated_and_other_pixels_is_unusable(tmp_path):

@@ -43,6 +43,16 @@ def colmap(camera="PINHOLE 8 6 9 9 4 3", pose="1 0 0 0 0 0 4", name="0.png", ext
     return write
 
 
+def llff(column=None, value=0.0):
+    def write(folder):
+        row = np.array([0, 1, 0, 1, 6, -1, 0, 0, 2, 8, 0, 0, 1, 3, 9, 1, 9], float)
+        if column is not None:
+            row[column] = value
+        np.save(folder / "poses_bounds.npy", np.stack([row, row]))
+
+    return write
+
+
 def idr(**change):
     world = np.array([[9.0, 0, 4, 1], [0, 9, 3, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
     arrays = {"world_mat": world, **change}
@@ -63,7 +73,7 @@ def sfm(view=(), camera=(), pose=(), version="1 2 6", **top):
     return lambda folder: (folder / "cameras.sfm").write_text(json.dumps(record))
 
 
-PLAIN = {"transforms.json": top(), "COLMAP": colmap(), "IDR, NeuS": idr(),
+PLAIN = {"transforms.json": top(), "COLMAP": colmap(), "LLFF": llff(), "IDR, NeuS": idr(),
          "AliceVision": sfm()}  # fmt: skip
 SPLIT = {"train_filenames": ["images/1.png"]}
 CASES = {
@@ -93,6 +103,10 @@ CASES = {
         "QW QX QY QZ, TX TY TZ": [colmap(pose="0 1 0 0 0 0 4"), colmap(pose="1 0 0 0 1 0 4")],
         "quaternion that is not of unit length": [colmap(pose="2 0 0 0 0 0 4")],
         "NAME": [colmap(name="1.png")], "rigs, frames": [colmap(extra="rigs.txt")],
+    },
+    "LLFF": {
+        "rotation, position": [llff(3, 5.0)], "height, width, focal": [llff(14, 12.0)],
+        "mirrored matrix": [llff(12, -1.0)], "near, far": [llff(15, 5.0)],
     },
     "IDR, NeuS": {
         "world_mat": [idr(world_mat=np.diag([9.0, 8, 1, 1]))],

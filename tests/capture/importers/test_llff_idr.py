@@ -1,7 +1,8 @@
-"""IDR and NeuS: files are written from camera axes, read, and compared by projection."""
+"""LLFF, IDR and NeuS: files are written from camera axes, read, and compared by projection."""
 
 from __future__ import annotations
 
+import os
 import warnings
 import zipfile
 from dataclasses import dataclass
@@ -13,10 +14,12 @@ from PIL import Image
 from support.colmap import write_colmap
 from support.helpers import projected
 
+from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers import idr
 from svu_mi.capture.importers.idr import decompose_projection
 from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.registry import ReadOptions, read_source
+from svu_mi.capture.importers.resampling import with_size
 from svu_mi.capture.importers.source import Source
 from svu_mi.errors import CaptureError, OptionError, SvuError
 
@@ -70,6 +73,13 @@ class Camera:
         return matrix
 
     @property
+    def row(self) -> np.ndarray:
+        """Return the row of LLFF: 3 x 5 matrix, near and far."""
+        width, height = SIZE
+        columns = [self.down, self.right, -self.forward, self.eye, [height, width, self.focal[0]]]
+        return np.concatenate([np.stack(columns, axis=-1).ravel(), [2.0, 9.0]])
+
+    @property
     def pose(self) -> np.ndarray:
         """Return the pose (4, 4) in Mitsuba's axes: +X left, +Y up, +Z forward."""
         matrix = np.eye(4)
@@ -100,6 +110,13 @@ def shoot(folder: Path, names: list[str], size: tuple[int, int] = SIZE) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for index, name in enumerate(names):
         Image.new("RGB", size, (60 + index,) * 3).save(folder / name)
+
+
+def write_llff(folder: Path, rows: object = None, images: str = "images") -> Path:
+    """Write poses, and photographs in the order of their names."""
+    shoot(folder / images, ["b.jpg", "a.jpg", "c.png"])
+    np.save(folder / "poses_bounds.npy", [c.row for c in CENTERED] if rows is None else rows)
+    return folder
 
 
 def matrices(cameras: list[Camera], sphere: np.ndarray | None = SPHERE) -> dict[str, np.ndarray]:
@@ -133,6 +150,32 @@ def same(source: Source, cameras: list[Camera], atol: float = 1e-9) -> None:
 
 
 # --- round trips ----------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_poses_of_llff_are_read(tmp_path, kind):
+    rows = np.array([camera.row for camera in CENTERED], kind)
+    folder = write_llff(tmp_path / "fern", rows)
+    for path in (folder, folder / "poses_bounds.npy"):
+        source = read_source(path)
+        assert (source.format, source.root) == ("llff", folder)
+        assert [f.image.name for f in source.frames] == ["a.jpg", "b.jpg", "c.png"]
+        assert all(frame.mask is None for frame in source.frames)
+        same(source, CENTERED, 1e-9 if kind is np.float64 else 1e-6)
+    (note,) = source.notes
+    assert note.startswith(f"{folder / 'poses_bounds.npy'}: ") and "lens" in note
+
+
+def test_smaller_copies_of_llffs_photographs_are_chosen(tmp_path):
+    folder = write_llff(tmp_path)
+    shoot(folder / "images_4", ["0.png", "1.png", "2.png"], (10, 6))
+    assert {f.image.parent.name for f in read_source(folder).frames} == {"images"}
+    small = read_source(folder, ReadOptions(images=folder / "images_4"))
+    for frame, camera in zip(small.frames, CENTERED, strict=True):
+        frame = with_size(frame, open_image(frame.image).size)
+        assert (frame.size, frame.focal, frame.center) == ((10, 6), (12.5, 12.5), (5.0, 3.0))
+        wanted = camera.pixels(POINTS) / 4
+        np.testing.assert_allclose(projected(frame, POINTS), wanted, atol=2e-3)
 
 
 @pytest.mark.parametrize("file", ["cameras_sphere.npz", "cameras.npz"])
@@ -192,6 +235,15 @@ def test_a_projection_is_taken_apart_whatever_its_factor():
 # --- masks ----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("name", ["masks", "mask", "elsewhere"])
+def test_masks_of_llff_go_by_name(tmp_path, name):
+    folder = write_llff(tmp_path)
+    shoot(folder / name, ["a.png", "c.png.png"])  # for a.jpg and c.png
+    asked = folder / name if name == "elsewhere" else None
+    masks = [frame.mask for frame in read_source(folder, ReadOptions(masks=asked)).frames]
+    assert masks == [folder / name / "a.png", None, folder / name / "c.png.png"]
+
+
 @pytest.mark.parametrize("name", ["mask", "masks", "elsewhere"])
 def test_masks_of_idr_go_by_their_order(tmp_path, name):
     folder = write_idr(tmp_path)
@@ -209,23 +261,58 @@ def test_masks_of_idr_go_by_their_order(tmp_path, name):
 
 
 def test_folders_with_several_formats_are_read_as_before(tmp_path):
-    """Detection prefers transforms and COLMAP, and a note names the other format."""
-    folder = write_idr(tmp_path / "idr")
-    frames = read_source(folder).frames
-    write_colmap(folder, Source(format="test", root=folder, frames=frames))
-    both = read_source(folder)
-    assert both.format == "colmap" and both.notes[-1] == (
-        f"{folder}: is read as colmap, but also contains poses of idr; --format idr reads them."
-    )
-    assert len(read_source(folder, ReadOptions(format="colmap")).notes) == 1
-    write_transforms(folder / "transforms.json", frames)
-    assert read_source(folder).format == "transforms"
+    """Detection prefers transforms and COLMAP, and a note names the other formats."""
+    lines, cameras = write_llff(tmp_path / "llff"), write_idr(tmp_path / "idr")
+    frames = read_source(lines).frames
+    model = tmp_path / "model"
+    write_colmap(model, Source(format="test", root=lines, frames=frames))
+    assert read_source(model).format == "colmap" and len(read_source(model).notes) == 1
+    for folder, name in ((lines, "llff"), (cameras, "idr")):
+        (model / "sparse").rename(folder / "sparse")
+        (folder / "images").mkdir(exist_ok=True)
+        for k in range(3):
+            (folder / "images" / f"view_000{k}.png").touch()
+            (folder / "images" / f"view_000{k}.jpg").touch()
+        both = read_source(folder)
+        assert both.format == "colmap"
+        assert both.notes[-1] == (
+            f"{folder}: is read as colmap, but also contains poses of {name}; --format {name} "
+            "reads them."
+        )
+        assert len(read_source(folder, ReadOptions(format="colmap")).notes) == 1
+        (folder / "sparse").rename(model / "sparse")
+        write_transforms(folder / "transforms.json", frames)
+        assert read_source(folder).format == "transforms"
     (tmp_path / "nothing").mkdir()
-    with pytest.raises(CaptureError, match=r"contains transforms.json, .*COLMAP model, cam"):
+    with pytest.raises(CaptureError, match=r"contains transforms.json, .*poses_bounds.npy, cam"):
         read_source(tmp_path / "nothing")
 
 
 # --- errors ------------------------------------------------------------------
+
+
+def changed(index: int | list[int], value: float, factor: float = 0) -> np.ndarray:
+    rows = np.array([camera.row for camera in CENTERED])
+    rows[1, index] = value + factor * rows[1, index]
+    return rows
+
+
+BAD_ROWS = {
+    "16 columns": (changed(3, 1)[:, :16], r"3 photographs x 17 in .*, got .* shape \(3, 16\)"),
+    "flat": (changed(3, 1).ravel(), r"photographs x 17 in .*, got .* shape \(51,\); export"),
+    "one number": (np.float64(3), "10000 photographs x 17 in .*, got 3.0; export them again"),
+    "none": (np.zeros((0, 17)), r"10000 photographs x 17 in .* shape \(0, 17\)"),
+    "NaN": (changed(6, np.nan), "3 photographs x 17 .*, got nan; export"),
+    "infinite": (changed(14, np.inf), "3 photographs x 17 .*, got inf; export"),
+    "objects": (np.array([[print] * 17] * 3, object), "declares pickled objects; export"),
+    "words": (np.full((3, 17), "a"), "the array has type <U1; expected real numbers"),
+    "complex": (changed(3, 1).astype(complex), "the array has type complex128; expected real"),
+    "mirrored": (changed([0, 5, 10], 0, -1), r"pose 1: the pose is mirrored \(determinant < 0\)"),
+    "parts of pixels": (changed(4, 23.5), "pose 1: size must be 2 whole num.* got 23.5"),
+    "no height": (changed(4, 0), r"pose 1: size must be 2 .* in \[1, 65536\] pixels, got 0"),
+    "no focal length": (changed(14, 0), r"pose 1: focal length must .* \[0.001, 1e\+06\] times"),
+    "too few": (changed(3, 1)[:2], "has 3 photographs, but .*poses_bounds.npy has 2 poses; give"),
+}
 
 
 def sentence(error: SvuError, folder: Path) -> str:
@@ -288,9 +375,12 @@ BAD_ARRAYS = {
 }
 
 
-@pytest.mark.parametrize(("written", "words"), BAD_ARRAYS.values(), ids=BAD_ARRAYS)
-def test_poses_that_are_none(tmp_path, written, words):
-    folder = write_idr(tmp_path, written)
+@pytest.mark.parametrize(("write", "written", "words"), [
+    *((write_llff, *case) for case in BAD_ROWS.values()),
+    *((write_idr, *case) for case in BAD_ARRAYS.values()),
+], ids=[*BAD_ROWS, *BAD_ARRAYS])  # fmt: skip
+def test_poses_that_are_none(tmp_path, write, written, words):
+    folder = write(tmp_path, written)
     with pytest.raises(CaptureError, match=words) as error:
         read_source(folder)
     sentence(error.value, folder)
@@ -303,12 +393,41 @@ def test_a_skew_that_does_not_matter_is_left_out(tmp_path):
 
 
 def test_folders_that_are_not_there(tmp_path):
-    folder = write_idr(tmp_path / "idr")
-    for option in ("images", "masks"):
-        with pytest.raises(CaptureError, match=f"gone: no such folder; .*--{option}"):
-            read_source(folder, ReadOptions(**{option: tmp_path / "gone"}))
-    with pytest.raises(CaptureError, match="cameras_sphere.npz: the path is not a file; "):
-        read_source(tmp_path, ReadOptions(format="idr"))
+    llff, idr = write_llff(tmp_path / "llff"), write_idr(tmp_path / "idr")
+    gone = tmp_path / "gone"
+    for folder in (llff, idr):
+        with pytest.raises(CaptureError, match="gone: no such folder; .*--images"):
+            read_source(folder, ReadOptions(images=gone))
+        with pytest.raises(CaptureError, match="gone: no such folder; .*--masks"):
+            read_source(folder, ReadOptions(masks=gone))
+    (llff / "images").rename(llff / "images_8")
+    with pytest.raises(
+        CaptureError, match="images: no such folder; give the folder of the photographs"
+    ):
+        read_source(llff)
+    shoot(llff / "masks", ["z.png"])
+    with pytest.raises(CaptureError, match="masks: has no mask of a.jpg or any other photograph;"):
+        read_source(llff, ReadOptions(images=llff / "images_8"))
+    for form, name in (("llff", "poses_bounds.npy"), ("idr", "cameras_sphere.npz")):
+        with pytest.raises(CaptureError, match=f"{name}: the path is not a file; "):
+            read_source(tmp_path, ReadOptions(format=form))
+
+
+def test_files_that_promise_more_than_they_hold_are_not_read(tmp_path):
+    folder = write_llff(tmp_path / "llff")
+    file = folder / "poses_bounds.npy"
+    whole = file.read_bytes()
+    for data in (
+        b"", b"text", whole[:-8], whole.replace(b"(3, 17)", b"(9**9)"),
+        whole.replace(b"(3, 17), }", b"(10**11,)}"), whole.replace(b"<f8", b"|O8"),
+    ):  # fmt: skip
+        file.write_bytes(data)
+        with pytest.raises(CaptureError, match="poses_bounds.npy: .*; export them again") as e:
+            read_source(folder)
+        sentence(e.value, folder)
+    os.truncate(file, 2**24 + 1)
+    with pytest.raises(CaptureError, match="the file has more than 16777216 bytes"):
+        read_source(folder)
 
 
 def test_archives_that_hold_more_than_they_should(tmp_path):

@@ -1,8 +1,9 @@
-"""Files of arrays and cached references: damaged or forged ones are told, and cost no memory."""
+"""Checkpoints and cached references: damaged or forged ones are told, and cost no memory."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import warnings
 import zipfile
@@ -14,16 +15,21 @@ from support.helpers import peak_memory
 
 from svu_mi.bench.result_cache import Store
 from svu_mi.core.io.npz import DIGEST, read_arrays, write_arrays
-from svu_mi.errors import SvuWarning
+from svu_mi.errors import OptionError, OutputError, SvuWarning
 from svu_mi.evaluation import reference_cache
+from svu_mi.recovery.checkpoint import Checkpoint
 
 BOMB = 2**28  # bytes that a packed file of 256 KiB unpacks to
 
 
 @pytest.fixture
 def path(tmp_path):
-    write_arrays(tmp_path / "a.npz", {"step": np.array(4), "losses": np.zeros(4)})
-    return tmp_path / "a.npz"
+    rows.write_checkpoint(tmp_path)
+    return tmp_path / "checkpoint.npz"
+
+
+def load(path):
+    return Checkpoint(path, rows.SETTINGS, content=rows.CONTENT).load(rows.SHAPES)
 
 
 def bomb(path):
@@ -51,8 +57,10 @@ def liar(path, shape):
 
 def test_a_packed_file_is_refused_before_it_is_unpacked(path):
     def refused():
-        with pytest.raises(ValueError, match="an array has an unknown compression"):
-            read_arrays(path)
+        with pytest.raises(
+            OutputError, match="damaged .an array has an unknown compression.; remove"
+        ):
+            load(path)
 
     bomb(path)
     assert path.stat().st_size < 2**21 and peak_memory(refused) < 2**22
@@ -63,29 +71,29 @@ def test_one_array_listed_three_times_is_refused_by_its_size(path):
         archive.writestr("losses.npy", bytes(2**16))
         archive.filelist *= 3
     assert path.stat().st_size < 2 * 2**16
-    with pytest.raises(ValueError, match=r"the arrays have more than 6\d{4} bytes"):
-        read_arrays(path)
+    with pytest.raises(OutputError, match=r"damaged .the arrays have more than 6\d{4} bytes"):
+        load(path)
 
 
 @pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
 def test_array_longer_than_its_file_is_refused(path, shape):
     liar(path, shape)
-    with pytest.raises(ValueError):
-        read_arrays(path)
+    with pytest.raises(OutputError, match="checkpoint is damaged"):
+        load(path)
 
 
 def test_objects_are_never_unpickled(path):
     np.savez(path, step=np.array([print], object))
-    with pytest.raises(ValueError, match="an array declares"):
-        read_arrays(path)
+    with pytest.raises(OutputError, match="checkpoint is damaged .an array declares"):
+        load(path)
 
 
 def test_a_pipe_or_a_folder_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     (tmp_path / "folder.npz").mkdir()
     for name in ("pipe.npz", "folder.npz"):
-        with pytest.raises(ValueError, match="the path is not a file"):
-            read_arrays(tmp_path / name)
+        with pytest.raises(OutputError, match="damaged .the path is not a file"):
+            load(tmp_path / name)
 
 
 def test_what_is_written_is_read_again(tmp_path):
@@ -106,13 +114,69 @@ def test_replaced_array_is_detected(path):
         arrays = dict(archive)
     arrays["step"] = np.array(2)
     np.savez(path, **arrays)
-    with pytest.raises(ValueError, match="checksum does not match"):
-        read_arrays(path)
+    with pytest.raises(OutputError, match="checksum does not match"):
+        load(path)
+
+
+FLOATS = np.full((4, 6, 1), 0.5, np.float32)
+DEEP = "[" * 100_000
+FORGED = {
+    "step -1": ({"step": -1}, "step must be a whole number in [0, 2.14748e+09], got -1"),
+    "step 10^9": ({"step": 10**9}, "losses must be 1000000000 numbers in "),
+    "step 2.0": ({"step": 2.0}, "step must be a whole number in [0, 2.14748e+09], got 2.0"),
+    "two steps": ({"step": [2, 2]}, "step"),
+    "no step": ({"step": None}, "step"),
+    "no format": ({"format": None}, "(format is missing)"),
+    "no losses": ({"losses": None}, "(losses is missing)"),
+    "losses of NaN": (
+        {"losses": np.full(4, np.nan, np.float32)},
+        "losses must be 4 numbers in [-3.4e+38, 3.4e+38], got nan",
+    ),
+    "double losses": ({"losses": np.zeros(4)}, "got float64 of shape (4,)"),
+    "no values": ({"values/roughness": None}, "(values/roughness is missing)"),
+    "shaped means": ({"first/roughness": FLOATS}, "first/roughness must be 24 numbers in"),
+    "infinite": ({"values/roughness": FLOATS * np.float32(np.inf)}, "3.4e+38], got inf"),
+    "text": ({"values/roughness": np.full((4, 6, 1), "a")}, "got <U1 of shape (4, 6, 1)"),
+    "negative squares": (
+        {"second/roughness": -FLOATS.ravel()},
+        "second/roughness must be 24 numbers in [0, 3.4e+38], got -",
+    ),
+    "another array": ({"other": 1}, "(other is unknown)"),
+    "settings of numbers": ({"settings": 3}, "settings must be a text, got 3"),
+    "no JSON": ({"settings": "{"}, "Expecting"),
+    "a list": ({"settings": "[]"}, "the settings are not a JSON object"),
+    "deep": ({"settings": DEEP}, ""),
+    "deep objects": ({"content": '{"a":' * 5000 + "1" + "}" * 5000}, ""),
+}
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_every_field_is_checked_even_if_the_digest_matches(path, case):
+    change, words = FORGED[case]
+    arrays = read_arrays(path) | change
+    write_arrays(path, {name: value for name, value in arrays.items() if value is not None})
+    with pytest.raises(OutputError) as caught:
+        load(path)
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: the checkpoint is damaged (") and words in sentence
+    assert sentence.endswith("; remove it and start again.") and len(sentence) < 400
+
+
+def test_foreign_words_are_shortened_and_printable(path):
+    settings = {**rows.SETTINGS, "\x1b[31m" + "x" * 5000: "\n" * 5000}
+    content = {"\x1b[31m" + "x" * 5000: "a"}
+    for changes in ({"settings": settings}, {"content": content}):
+        rows.write_checkpoint(path.parent)
+        text = {name: json.dumps(value) for name, value in changes.items()}
+        write_arrays(path, read_arrays(path) | text)
+        with pytest.raises(OptionError, match="another run") as caught:
+            load(path)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 700
 
 
 def test_invalid_benchmark_record_is_computed_again(tmp_path):
     store = Store(tmp_path)
-    for text in ("[" * 100_000, '{"key": "a"', "[]", '{"key": "b"}', "\0"):
+    for text in (DEEP, '{"key": "a"', "[]", '{"key": "b"}', "\0"):
         store.path("x").write_text(text)
         assert store.load("x", "a") is None
     store.path("x").unlink()
