@@ -188,8 +188,8 @@ def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
             name=f"uncertainty of recovered {label_of(name)}", estimate=estimate,
             values=partial(half_width, name),
             scale=Scale(high=WIDEST, label=label, ends=("±0", f"±{WIDEST:g} and more")),
-            sentence="Half-width of the recovered texture's interval. It is smaller than "
-            "for a single point, because independent errors of neighbours average out.",
+            sentence="Half-width of the recovered texture's interval. It is smaller than for a "
+            "single point where neighbours agree, and larger next to other materials.",
         )
         for name in field.names
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -91,9 +92,17 @@ def write_scene(
     ))  # fmt: skip
     others = [shape for shape in scene.shapes() if not is_same(shape, target)]
     root.extend(scene_xml.shape(s, folder, f"{ASSETS}/other_{k}") for k, s in enumerate(others))
-    root.extend(scene_xml.sensor(s, f"view_{k:04d}") for k, s in enumerate(capture.sensors))
+    root.extend(map(scene_xml.sensor, capture.sensors, _sensor_ids(capture)))
     scene_xml.write_document(root, folder / SCENE)
     return folder / SCENE
+
+
+def _sensor_ids(capture: Capture) -> list[str]:
+    """Return the names of the photographs if they can be ids, so that they match; else numbers."""
+    stems = [Path(name).stem for name in capture.files or capture.names]
+    if all(re.fullmatch(r"\w[\w-]*", stem) for stem in stems) and len(set(stems)) == len(stems):
+        return stems
+    return [f"view_{k:04d}" for k in range(capture.count)]
 
 
 def object_node(

@@ -36,7 +36,7 @@ def clear_cause(patterns: ResidualPatterns) -> str:
         return "objects"
     if patterns.moving_light > max(TURNING, BLURRED * shift):
         return "turning light"
-    if patterns.from_below > BELOW:
+    if patterns.from_below > BELOW and patterns.error < 1:  # a table leaves some of it right
         return "surroundings"
     return "poses" if shift > DISPLACED else ""
 
@@ -49,7 +49,7 @@ def likely_cause(patterns: ResidualPatterns) -> str:
         return clear
     if patterns.moving_light > max(TURNED, BLURRED * shift):
         return "turning light"
-    if patterns.from_below > BENEATH:
+    if patterns.from_below > BENEATH and patterns.error < 1:
         return "surroundings"
     if of_means < 1 - ALIKE and error > FAR * of_means:
         return "light"

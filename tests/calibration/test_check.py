@@ -475,8 +475,8 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
     result = svu.check(dark)
     assert [one.verdict for one in result.findings] == ["fits", "unknown", "fits", "unknown"]
     light, gain = (one.sentence for one in result.findings if one.verdict == "unknown")
-    assert light == "The orientation of the light cannot be determined: the capture has no light."
-    assert gain.endswith("cannot be compared: the capture has no light; use --gains estimate.")
+    assert light == "The orientation of the light cannot be determined: no light was given."
+    assert gain.endswith("cannot be compared: no light was given; use --gains estimate.")
     assert result.fits and all(view.color_error is None for view in result.views)
     case = Case(("camera-x180", "texture-flip-v"))
     assert same(svu.check(case.made(dark)).fixes, case.fixes)
@@ -491,7 +491,7 @@ def test_one_photograph_without_a_light_is_too_few(capture):
     exposures = tuple(np.linspace(1, 2, capture.count))
     recorded = replace(one, exposures=exposures, used=capture.used)
     gain = next(found for found in svu.check(recorded).findings if found.question == "gain")
-    assert "the recorded exposures are used, and the capture has no light; nothing" in gain.sentence
+    assert "the recorded exposures are used, and no light was given; nothing" in gain.sentence
 
 
 def test_worst_views_are_ordered_by_silhouette_without_a_light(capture):

@@ -20,7 +20,7 @@ def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
     ]
     said = done("check dark -o out/dark", shots)
     assert any(line.startswith("poses (fits): Cameras and mesh fit") for line in said.out)
-    words = "The orientation of the light cannot be determined: the capture has no light."
+    words = "The orientation of the light cannot be determined: no light was given."
     assert f"light (unknown): {words}" in said.out
     assert said.out[-2] == FITS
     said = done("light dark --texels 100 --depths 64 4 --resolution 64 -o dark/light", shots)

@@ -25,6 +25,7 @@ from svu_mi.capture.importers.axis_fixes import FIXES
 INSIDE_OUT = "mesh-inside-out"
 POOR_OVERLAP = 0.7  # minimum intersection over union of silhouettes and masks
 POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # minimum fit without masks
+STRANGE = 0.1  # agreement of views below which photographs may belong to other cameras
 # Score difference from which another orientation of the light is better. On four objects under two
 # lights (16 photographs of 96 pixels, EXR and 8 bits), wrong orientations of correct captures gain
 # at most 0.034; the best orientation of wrongly imported EXR captures gains at least 0.9.
@@ -69,6 +70,12 @@ def decide_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
             "explains it; check the scale of mesh and poses, and that both show the same object.",
         ), current  # fmt: skip
     finding = partial(finding, alternatives=alternatives)
+    if chosen is current and not current.masked and current.agreement < STRANGE:
+        return finding(
+            verdict="unclear", alternatives=(),
+            sentence=f"Photographs hardly agree on the surface ({fit}): the object is a mirror, or "
+            "they belong to other cameras; name them by the ids of their sensors.",
+        ), current  # fmt: skip
     if chosen is current:
         sentence = f"Cameras and mesh fit the photographs ({fit}{_as_well(alternatives)})."
         return finding(verdict="fits", sentence=sentence), current

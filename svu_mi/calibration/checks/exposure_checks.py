@@ -192,16 +192,19 @@ def warn_of_exposure(capture: Capture, estimate: Estimate) -> Capture:
 
 
 def saturated_share(capture: Capture, small: Capture) -> float:
-    """Return the saturated fraction of the object's pixels; ``small`` is the reduced capture."""
+    """Return the saturated or unusable part of the object's pixels; ``small``: reduced capture."""
     over, inside = 0, 0
     frames, views = Thumbnails.of(small), np.flatnonzero(capture.used)
-    for view, seen, mask in zip(views, silhouettes(frames), frames.masks, strict=True):
+    parts = zip(views, silhouettes(frames), frames.masks, frames.radiance, strict=True)
+    for view, seen, mask, radiance in parts:
         shown, saturation = seen if mask is None else seen & mask, capture.clipped[view]
         inside += shown.sum()
+        lost = ~np.isfinite(radiance).all(axis=2)
         if saturation is not None:
             step = min(saturation.channels.shape[k] // shown.shape[k] for k in (0, 1))
             middle = saturation.channels[step // 2 :: step, step // 2 :: step]
-            over += (middle[: len(shown), : shown.shape[1]][shown] > 0).sum()
+            lost |= middle[: len(shown), : shown.shape[1]] > 0
+        over += lost[shown].sum()
     return float(over / max(inside, 1))
 
 
@@ -210,8 +213,8 @@ def saturation_sentence(share: float) -> str | None:
     if share <= SATURATED:
         return None
     return (
-        f"{100 * share:.0f} % of the object's pixels are saturated: base colour and roughness will "
-        "be off; photograph with a shorter exposure, or in HDR."
+        f"{100 * share:.0f} % of the object's pixels are saturated or unusable: base colour and "
+        "roughness will be off; photograph with a shorter exposure, or in HDR."
     )
 
 

@@ -300,7 +300,7 @@ def emitter_of(capture: Capture) -> Any:
 
 def without_emitter(capture: Capture) -> str:
     """Return the reason why ``emitter_of`` is None."""
-    return "light of lamps is not tested" if has_lamps(capture) else "the capture has no light"
+    return "light of lamps is not tested" if has_lamps(capture) else "no light was given"
 
 
 def is_constant(emitter: Any) -> bool:

@@ -11,7 +11,7 @@ The likelihood is annealed, as materials are unknown under the initial constant 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -33,6 +33,7 @@ from svu_mi.calibration.light.light_transport import (
 )
 from svu_mi.calibration.light.light_uncertainty import (
     LightScale,
+    dim_change,
     remarks_of,
     sample_lights,
     scale_of,
@@ -89,6 +90,8 @@ def estimate_light(
         problems[moves] = LightProblem(samples, switches, background, moves, options.gains)
     fit, misfit = _estimate(problems, options, progress)
     with progress.stage("Estimating the uncertainty of the light"):
+        if not fit.seen:
+            fit = replace(fit, x=fit.x + dim_change(fit.transport, fit.x, switches))
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
         if fit.seen:  # background pixels determine the level
             scale = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)

@@ -49,6 +49,10 @@ LOOSE = 0.5  # standard deviation of the log level with less
 UNKNOWN = 0.25  # median fraction of removed prior variance, below which a remark is made
 MOST_WIDENED = 1e4  # textures carry no information
 
+BRIGHT = 0.8  # share of the flux of the bright cells
+DIM_STEPS = np.linspace(-1.5, 0.5, 5)  # tested log factors of the dim cells
+LEVELS = np.linspace(-0.8, 0.8, 9)  # log levels of the whole light, the best one for each factor
+
 # Negative log probability of noise: SHARPNESS log(noise / least).
 SHARPNESS = 0.5 * NINETY**2 / log(TOLERANCE)
 
@@ -151,6 +155,29 @@ def _slope_and_covariance(
     axes = PLANE @ vectors
     curvature = np.maximum(values, COLOR.scale**-2)  # at least the prior curvature
     return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T
+
+
+def dim_change(transport: Transport, x: np.ndarray, switches: AngularPreset) -> np.ndarray:
+    """Return the change (N, 1) of log radiance (N, 3) that brightens or dims all dim cells alike.
+
+    Bright cells carry ``BRIGHT`` of the flux. Texels that see none of them, such as in shadow, can
+    also be explained by too bright dim cells and darker materials, which Gauss-Newton steps from
+    constant light hardly leave. One factor of the dim cells follows from the noise, as the scale.
+    """
+    flux = np.exp(x).mean(axis=1)
+    order = np.argsort(-flux)
+    dim = np.ones((len(x), 1))
+    dim[order[: np.searchsorted(np.cumsum(flux[order]), BRIGHT * flux.sum())]] = 0
+    samples, kept = transport.samples.without_steep_views()
+    levels = np.exp(np.repeat(LEVELS[:, None], 3, axis=1))
+
+    def noise(step: float) -> float:
+        columns = columns_of(transport, np.exp(x + step * dim), switches).subset(kept)
+        return float(SampleMoments.of(samples, columns).noise(switches, levels).min())
+
+    fine = np.linspace(DIM_STEPS[0], DIM_STEPS[-1], 201)
+    curve = scipy.interpolate.CubicSpline(DIM_STEPS, np.log([noise(s) for s in DIM_STEPS]))(fine)
+    return np.asarray(fine[curve.argmin()] * dim)
 
 
 class LightSamples(NamedTuple):
