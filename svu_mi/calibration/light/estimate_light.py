@@ -33,11 +33,11 @@ from svu_mi.calibration.light.light_transport import (
 )
 from svu_mi.calibration.light.light_uncertainty import (
     LightScale,
-    dim_change,
     remarks_of,
     sample_lights,
     scale_of,
     widening_of,
+    with_level_of_dim_cells,
 )
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import has_lamps
@@ -91,7 +91,7 @@ def estimate_light(
     fit, misfit = _estimate(problems, options, progress)
     with progress.stage("Estimating the uncertainty of the light"):
         if not fit.seen:
-            fit = replace(fit, x=fit.x + dim_change(fit.transport, fit.x, switches))
+            fit = replace(fit, x=with_level_of_dim_cells(fit.transport, fit.x, switches))
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
         if fit.seen:  # background pixels determine the level
             scale = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)

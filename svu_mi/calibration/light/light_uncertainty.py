@@ -51,6 +51,7 @@ MOST_WIDENED = 1e4  # textures carry no information
 
 BRIGHT = 0.8  # share of the flux of the bright cells
 DIM_STEPS = np.linspace(-1.5, 0.5, 5)  # tested log factors of the dim cells
+DIM_ROUNDS, SETTLED = 3, 0.05  # number of steps, and log factor that ends them
 LEVELS = np.linspace(-0.8, 0.8, 9)  # log levels of the whole light, the best one for each factor
 
 # Negative log probability of noise: SHARPNESS log(noise / least).
@@ -157,27 +158,34 @@ def _slope_and_covariance(
     return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T
 
 
-def dim_change(transport: Transport, x: np.ndarray, switches: AngularPreset) -> np.ndarray:
-    """Return the change (N, 1) of log radiance (N, 3) that brightens or dims all dim cells alike.
+def with_level_of_dim_cells(
+    transport: Transport, x: np.ndarray, switches: AngularPreset
+) -> np.ndarray:
+    """Return log radiance (N, 3) with another level of the dim cells.
 
-    Bright cells carry ``BRIGHT`` of the flux. Texels that see none of them, such as in shadow, can
-    also be explained by too bright dim cells and darker materials, which Gauss-Newton steps from
-    constant light hardly leave. One factor of the dim cells follows from the noise, as the scale.
+    Texels that see no bright cell, such as in shadow, can also be explained by too bright dim cells
+    and darker materials, which Gauss-Newton steps from constant light hardly leave. The common
+    factor of all dim cells, and then of what is dim beside the rest, follows from the noise.
     """
-    flux = np.exp(x).mean(axis=1)
-    order = np.argsort(-flux)
-    dim = np.ones((len(x), 1))
-    dim[order[: np.searchsorted(np.cumsum(flux[order]), BRIGHT * flux.sum())]] = 0
     samples, kept = transport.samples.without_steep_views()
     levels = np.exp(np.repeat(LEVELS[:, None], 3, axis=1))
+    fine = np.linspace(DIM_STEPS[0], DIM_STEPS[-1], 201)
 
-    def noise(step: float) -> float:
-        columns = columns_of(transport, np.exp(x + step * dim), switches).subset(kept)
+    def noise(light: np.ndarray) -> float:
+        columns = columns_of(transport, np.exp(light), switches).subset(kept)
         return float(SampleMoments.of(samples, columns).noise(switches, levels).min())
 
-    fine = np.linspace(DIM_STEPS[0], DIM_STEPS[-1], 201)
-    curve = scipy.interpolate.CubicSpline(DIM_STEPS, np.log([noise(s) for s in DIM_STEPS]))(fine)
-    return np.asarray(fine[curve.argmin()] * dim)
+    for _ in range(DIM_ROUNDS):
+        flux = np.exp(x).mean(axis=1)
+        order = np.argsort(-flux)
+        dim = np.ones((len(x), 1))
+        dim[order[: np.searchsorted(np.cumsum(flux[order]), BRIGHT * flux.sum())]] = 0
+        logarithms = np.log([noise(x + step * dim) for step in DIM_STEPS])
+        best = fine[scipy.interpolate.CubicSpline(DIM_STEPS, logarithms)(fine).argmin()]
+        x = x + best * dim
+        if abs(best) < SETTLED:
+            break
+    return x
 
 
 class LightSamples(NamedTuple):
