@@ -91,7 +91,9 @@ def estimate_light(
     fit, misfit = _estimate(problems, options, progress)
     with progress.stage("Estimating the uncertainty of the light"):
         if not fit.seen:
-            fit = replace(fit, x=with_level_of_dim_cells(fit.transport, fit.x, switches))
+            others = TexelSamples.of(observed, switches, options.texels // 2, options.known, 0)
+            unseen = without_gains(Transport.of(others, len(fit.x), fit.transport.moves), fit.gains)
+            fit = replace(fit, x=with_level_of_dim_cells(unseen, fit.x, switches))
         columns = columns_of(fit.transport, np.exp(fit.x), switches)
         if fit.seen:  # background pixels determine the level
             scale = LightScale(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)

@@ -109,9 +109,13 @@ class TexelSamples:
 
     @staticmethod
     def of(
-        observed: Observed, switches: AngularPreset, count: int, known: Mapping[str, float]
-    ) -> TexelSamples:
-        """Sample at most ``count`` seen texels, evenly distributed over the surface."""
+        observed: Observed, switches: AngularPreset, count: int, known: Mapping[str, float],
+        offset: float = 0.5,
+    ) -> TexelSamples:  # fmt: skip
+        """Sample at most ``count`` seen texels, evenly distributed over the surface.
+
+        ``offset``: place of the first texel, in [0, 1) steps; others select other texels.
+        """
         views, visibility = observed.views, observed.visibility
         if not visibility.scale > 0:
             raise CaptureError(
@@ -128,7 +132,7 @@ class TexelSamples:
             )
         # Texels are ordered by position: equal steps cover the surface evenly.
         count = min(count, len(enough))
-        chosen = enough[((np.arange(count) + 0.5) * len(enough) / count).astype(np.int64)]
+        chosen = enough[((np.arange(count) + offset) * len(enough) / count).astype(np.int64)]
         texel = to_drjit(mi.UInt32, chosen.astype(np.uint32))
         lanes = dr.arange(mi.UInt32, count * views.number)
         number = dr.opaque(mi.UInt32, views.number)

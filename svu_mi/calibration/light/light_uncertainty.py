@@ -165,7 +165,8 @@ def with_level_of_dim_cells(
 
     Texels that see no bright cell, such as in shadow, can also be explained by too bright dim cells
     and darker materials, which Gauss-Newton steps from constant light hardly leave. The common
-    factor of all dim cells, and then of what is dim beside the rest, follows from the noise.
+    factor of all dim cells, and then of what is dim beside the rest, follows from the noise of
+    texels (``transport``) that the light was not fitted to.
     """
     samples, kept = transport.samples.without_steep_views()
     levels = np.exp(np.repeat(LEVELS[:, None], 3, axis=1))
