@@ -22,6 +22,7 @@ from svu_mi.capture.scene import load_scene, to_world
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.parameters import CHANNELS
 
+OBJECT, LIGHT = scenes.path("knot"), "studio"
 VIEWS, WIDTH, HEIGHT = 30, 256, 192
 FAR = 3.9  # distance of the cameras
 MARGIN = 24  # pixels around a photograph that its lens bends into it
@@ -33,13 +34,13 @@ WHITE = 0.98  # of the pixels that the longest exposure does not clip
 TIME = 0x829A  # tag of EXIF
 
 
-def write_phone_capture(folder: Path, name: str, light: str, spp: int = 16) -> float:
-    """Write ``my_colmap_project`` and ``scan.obj`` of a scene under a light.
+def write_phone_capture(folder: Path, spp: int = 16) -> float:
+    """Write ``my_colmap_project`` and ``scan.obj``.
 
     Returns:
         Radiance of a pixel of the median photograph, relative to the light of the scene.
     """
-    scene = load_scene(scenes.path(name), {"light": light})
+    scene = load_scene(OBJECT, {"light": LIGHT})
     shape = scene.shapes()[0]
     size = WIDTH + 2 * MARGIN, HEIGHT + 2 * MARGIN
     sensors = sphere_sensors(shape, VIEWS, size, 40.0, distance=FAR, lowest=-0.3)
@@ -64,16 +65,16 @@ def write_phone_capture(folder: Path, name: str, light: str, spp: int = 16) -> f
     return float(np.median(exposures) / white)
 
 
-def true_textures(mesh: Any, resolution: int, name: str) -> dict[str, np.ndarray]:
+def true_textures(mesh: Any, resolution: int) -> dict[str, np.ndarray]:
     """Return the true parameters (T, C) at the texels of an imported scan, by the nearest point."""
-    shape = load_scene(scenes.path(name)).shapes()[0]
+    shape = load_scene(OBJECT, {"light": LIGHT}).shapes()[0]
     dense = svu.texels(shape, 512)
     nearest = cKDTree(_places(dense)).query(_places(svu.texels(mesh, resolution)))[1]
     index = dense.index.numpy()[nearest]
     truth = {}
-    for key, count in CHANNELS.items():
-        bitmap = mi.Bitmap(str(scenes.path(name).parent / f"{key}.exr")).resample((512, 512))
-        truth[key] = np.array(bitmap, np.float32).reshape(512 * 512, -1)[index, :count]
+    for name, count in CHANNELS.items():
+        bitmap = mi.Bitmap(str(OBJECT.parent / f"{name}.exr")).resample((512, 512))
+        truth[name] = np.array(bitmap, np.float32).reshape(512 * 512, -1)[index, :count]
     return truth
 
 
