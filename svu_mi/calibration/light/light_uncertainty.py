@@ -51,7 +51,6 @@ MOST_WIDENED = 1e4  # textures carry no information
 
 BRIGHT = 0.8  # share of the flux of the bright cells
 DIM_STEPS = np.linspace(-1.5, 0.5, 5)  # tested log factors of the dim cells
-DIM_ROUNDS, SETTLED = 3, 0.05  # number of steps, and log factor that ends them
 LEVELS = np.linspace(-0.8, 0.8, 9)  # log levels of the whole light, the best one for each factor
 
 # Negative log probability of noise: SHARPNESS log(noise / least).
@@ -165,8 +164,8 @@ def with_level_of_dim_cells(
 
     Texels that see no bright cell, such as in shadow, can also be explained by too bright dim cells
     and darker materials, which Gauss-Newton steps from constant light hardly leave. The common
-    factor of all dim cells, and then of what is dim beside the rest, follows from the noise of
-    texels (``transport``) that the light was not fitted to.
+    factor of all dim cells follows from the noise of texels (``transport``) that the light was not
+    fitted to.
     """
     samples, kept = transport.samples.without_steep_views()
     levels = np.exp(np.repeat(LEVELS[:, None], 3, axis=1))
@@ -176,17 +175,13 @@ def with_level_of_dim_cells(
         columns = columns_of(transport, np.exp(light), switches).subset(kept)
         return float(SampleMoments.of(samples, columns).noise(switches, levels).min())
 
-    for _ in range(DIM_ROUNDS):
-        flux = np.exp(x).mean(axis=1)
-        order = np.argsort(-flux)
-        dim = np.ones((len(x), 1))
-        dim[order[: np.searchsorted(np.cumsum(flux[order]), BRIGHT * flux.sum())]] = 0
-        logarithms = np.log([noise(x + step * dim) for step in DIM_STEPS])
-        best = fine[scipy.interpolate.CubicSpline(DIM_STEPS, logarithms)(fine).argmin()]
-        x = x + best * dim
-        if abs(best) < SETTLED:
-            break
-    return x
+    flux = np.exp(x).mean(axis=1)
+    order = np.argsort(-flux)
+    dim = np.ones((len(x), 1))
+    dim[order[: np.searchsorted(np.cumsum(flux[order]), BRIGHT * flux.sum())]] = 0
+    logarithms = np.log([noise(x + step * dim) for step in DIM_STEPS])
+    best = fine[scipy.interpolate.CubicSpline(DIM_STEPS, logarithms)(fine).argmin()]
+    return np.asarray(x + best * dim)
 
 
 class LightSamples(NamedTuple):
