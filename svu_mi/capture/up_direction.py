@@ -19,6 +19,14 @@ def up_direction(capture: Any) -> np.ndarray:
     return up_of_poses(np.array([to_world(sensor) for sensor in sensors]))
 
 
+def is_seen_from_above(capture: Any) -> bool:
+    """Return whether no used camera is below the object's bounding box; False without cameras."""
+    box, up = capture.shape.bbox(), up_direction(capture)
+    eyes = [to_world(sensor)[:3, 3] @ up for sensor in capture.used_sensors]
+    lowest = np.minimum(np.array(box.min) * up, np.array(box.max) * up).sum()
+    return bool(eyes) and bool(min(eyes) > lowest)
+
+
 def up_of_poses(poses: np.ndarray) -> np.ndarray:
     """Return the upward direction (3,) of poses (V, 4, 4), camera to world.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_light_arrays
-from svu_mi.calibration.light.light_summary import LightComparison, channel_factors
+from svu_mi.calibration.light.light_summary import LightComparison, channel_factors, horizon
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
@@ -229,9 +229,9 @@ def _label_directions(axes: Axes, up: np.ndarray) -> None:
     axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
     axes.set_yticks((0, 0.5), ("-Y", "+Y"))
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
-    across, _ = np.linalg.qr(np.stack([up, *np.eye(3)], axis=1))[0][:, 1:].T
+    ahead, right = horizon(up)
     turns = np.linspace(0, 2 * np.pi, 721)[:, None]
-    level = np.cos(turns) * across + np.sin(turns) * np.cross(up, across)
+    level = np.cos(turns) * ahead + np.sin(turns) * right
     x, y = np.array([map_place(direction) for direction in level]).T
     axes.plot(x, y, ".", color="white", markersize=1.6, markeredgewidth=0)
     for name, direction in (("up", up), ("down", -up)):

@@ -127,7 +127,9 @@ def _widened(posterior: Posterior, inputs: EstimatorInputs, texels: np.ndarray) 
     """
     observed, support = inputs.observed, None
     if inputs.test.spread and may_stand(observed.capture):
-        normal = np.stack([x.numpy()[texels] for x in observed.texels.normal], axis=1)
+        lanes = to_drjit(mi.UInt32, texels.astype(np.uint32))
+        own = dr.gather(type(observed.texels.normal), observed.texels.normal, lanes)
+        normal = np.stack([x.numpy() for x in own], axis=1)
         light, up = observed.distant_light.environment, up_direction(observed.capture)
         support = support_error(light, up, normal)
     kernel = replace(posterior.kernel, spread=inputs.test.spread, support=support)

@@ -36,7 +36,7 @@ def clear_cause(patterns: ResidualPatterns) -> str:
         return "objects"
     if patterns.moving_light > max(TURNING, BLURRED * shift):
         return "turning light"
-    if patterns.from_below > BELOW and patterns.error < 1:  # a table leaves some of it right
+    if _is_changed_from_below(patterns, BELOW):
         return "surroundings"
     return "poses" if shift > DISPLACED else ""
 
@@ -49,7 +49,7 @@ def likely_cause(patterns: ResidualPatterns) -> str:
         return clear
     if patterns.moving_light > max(TURNED, BLURRED * shift):
         return "turning light"
-    if patterns.from_below > BENEATH and patterns.error < 1:
+    if _is_changed_from_below(patterns, BENEATH):
         return "surroundings"
     if of_means < 1 - ALIKE and error > FAR * of_means:
         return "light"
@@ -58,3 +58,8 @@ def likely_cause(patterns: ResidualPatterns) -> str:
     if 1 - error * (1 - shift) < FOREIGN:
         return "mesh"
     return "poses" if shift > SHIFTED else ""
+
+
+def _is_changed_from_below(patterns: ResidualPatterns, least: float) -> bool:
+    """Return whether light from below explains errors; a table leaves some of it right."""
+    return patterns.from_below > least and patterns.error < 1

@@ -16,8 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.scene import to_world
-from svu_mi.capture.up_direction import up_direction
+from svu_mi.capture.up_direction import is_seen_from_above
 from svu_mi.core.arrays import fibonacci
 from svu_mi.light.environment import Environment, basis_at, polar_from_local
 
@@ -36,11 +35,7 @@ def may_stand(capture: Capture) -> bool:
     scene = capture.scene
     alone = len(scene.shapes()) == len(scene.emitters()) == 1 and scene.environment() is not None
     lit = alone and capture.flash is None and capture.light_uncertainty is None
-    box, up = capture.shape.bbox(), up_direction(capture)
-    eyes = np.array([to_world(sensor)[:3, 3] for sensor in capture.used_sensors])
-    lowest = np.minimum(np.array(box.min) * up, np.array(box.max) * up).sum()
-    above = len(eyes) > 0 and bool((eyes @ up).min() > lowest)
-    return lit and above
+    return lit and is_seen_from_above(capture)
 
 
 def support_error(light: Environment, up: np.ndarray, normal: np.ndarray) -> np.ndarray:

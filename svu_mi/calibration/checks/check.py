@@ -50,7 +50,7 @@ from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import is_same
 from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
 from svu_mi.capture.surroundings import other_shapes
-from svu_mi.capture.up_direction import up_of_poses
+from svu_mi.capture.up_direction import is_seen_from_above
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.geometry.texels import texels
@@ -288,11 +288,7 @@ def _sources(capture: Capture, small: Capture) -> tuple[Finding, ...]:
 
 def _may_stand_on_something(capture: Capture) -> bool:
     """Return whether the scene has no other shape, and no camera is below the object."""
-    poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
-    up = up_of_poses(poses)
-    lowest = (arrays(capture.shape).positions @ up).min()
-    alone = not other_shapes(capture.scene, capture.shape)
-    return alone and bool((poses[:, :3, 3] @ up > lowest).all())
+    return not other_shapes(capture.scene, capture.shape) and is_seen_from_above(capture)
 
 
 def _missing(small: Capture, unit: float) -> tuple[Finding, ...]:

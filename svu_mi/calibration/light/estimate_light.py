@@ -91,7 +91,8 @@ def estimate_light(
     fit, misfit = _estimate(problems, options, progress)
     with progress.stage("Estimating the uncertainty of the light"):
         if not fit.seen:
-            others = TexelSamples.of(observed, switches, options.texels // 2, options.known, 0)
+            half, known = options.texels // 2, options.known
+            others = TexelSamples.of(observed, switches, half, known, offset=0)
             unseen = without_gains(Transport.of(others, len(fit.x), fit.transport.moves), fit.gains)
             fit = replace(fit, x=with_level_of_dim_cells(unseen, fit.x, switches))
         columns = columns_of(fit.transport, np.exp(fit.x), switches)

@@ -108,7 +108,7 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
         )
     elevation = np.degrees(np.arcsin(np.clip(toward @ up, -1, 1)))
     # Azimuth as in Mitsuba's envmap: from -Z towards +X, if +Y is up.
-    ahead, right = _horizon(up)
+    ahead, right = horizon(up)
     azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
     axes = f"0 is {_nearest_axis(ahead)}, 90 is {_nearest_axis(right)}"
     return (
@@ -191,7 +191,7 @@ def comparison_sentence(match: LightComparison) -> str:
     )
 
 
-def _horizon(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def horizon(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return unit directions of azimuth 0 and 90 degrees."""
     ahead = np.array([0.0, 0.0, -1.0]) if abs(up[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
     ahead = ahead - (ahead @ up) * up
