@@ -14,6 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import scipy
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.light.band_limited import Lighting, lat_long_texture, look_up
@@ -122,7 +123,7 @@ def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
     """Return flux and solid angle (H', W', C + 1) on a coarser grid."""
     rows, columns, channels = grid.shape
     solid, own = quadrature(rows), np.ones(columns)
-    fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
+    fewer = scipy.fft.next_fast_len(max(int(np.ceil(COARSE / width)), FEWEST - 1), real=True) + 1
     if fewer >= rows:
         flux = grid * solid[:, None, None]
     else:
