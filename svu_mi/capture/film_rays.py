@@ -5,7 +5,7 @@ Rays repeat the arithmetic of ``PerspectiveCamera::sample_ray`` and are bitwise 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.scene import to_world
+from svu_mi.capture.scene import read_matrix
 from svu_mi.capture.sensors import describe, film_size
 from svu_mi.core.arrays import to_drjit
 
@@ -23,24 +23,24 @@ LAUNCH = 1 << 22  # rays per kernel launch
 MASK_GRID = 3  # mask rays per pixel side; a single miss excludes the pixel from the object
 
 
-def ray_floats(sensor: Any) -> np.ndarray:
-    """Return the camera parameters of one view, (24,) float32.
+def ray_floats(sensor: Any, record: Mapping[str, Any]) -> np.ndarray:
+    """Return the camera parameters of one view, (24,) float32, given ``describe(sensor)``.
 
     In order: scale and offset of x, scale and offset of y (film to camera space); z and w
     of that map (constant); principal point offset (2) in crop windows; three rows of ``to_world``;
     near clip, far clip, width and height of the crop window in pixels.
     """
-    film, principal_point = sensor.film(), describe(sensor)["principal_point_offset"]
-    size = np.array(film.crop_size(), np.float32)
-    # Mitsuba multiplies by the rounded reciprocal.
-    shift = np.array(film.size(), np.float32) * np.array(principal_point, np.float32) * (1 / size)
-    unproject = np.array(sensor.projection_transform().inverse().matrix, np.float32).reshape(4, 4)
+    film, size, principal_point = (
+        np.array(record[key], np.float32) for key in ("film", "crop_size", "principal_point_offset")
+    )
+    shift = film * principal_point * (1 / size)  # Mitsuba multiplies by the rounded reciprocal
+    unproject = read_matrix(sensor.projection_transform().inverse())
     return np.concatenate(
         [
             unproject[[0, 0, 1, 1, 2, 3], [0, 3, 1, 3, 3, 3]],
             shift,
-            to_world(sensor)[:3].ravel(),
-            [sensor.near_clip(), sensor.far_clip(), *size],
+            np.ravel(record["to_world"][:3]),
+            [*record["clip"], *size],
         ],
         dtype=np.float32,
     )
@@ -48,7 +48,8 @@ def ray_floats(sensor: Any) -> np.ndarray:
 
 def ray_table(sensors: Sequence[Any]) -> Any:
     """Return the ``ray_floats`` of V sensors as one Float of width V * 24."""
-    return to_drjit(mi.Float, np.array([ray_floats(each) for each in sensors], np.float32).ravel())
+    floats = [ray_floats(sensor, describe(sensor)) for sensor in sensors]
+    return to_drjit(mi.Float, np.array(floats, np.float32).ravel())
 
 
 def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:

@@ -136,7 +136,13 @@ def find_sensors(
 
 def to_world(endpoint: Any) -> np.ndarray:
     """Return the local-to-world matrix of a sensor or emitter, (4, 4) float64."""
-    return np.array(endpoint.world_transform().matrix, np.float64).reshape(4, 4)
+    return read_matrix(endpoint.world_transform())
+
+
+def read_matrix(transform: Any) -> np.ndarray:
+    """Return the matrix of a transform, (4, 4) float64; copies entries without a kernel launch."""
+    matrix = transform.matrix
+    return np.array([[matrix[i, j][0] for j in range(4)] for i in range(4)], np.float64)
 
 
 def check_sensor(sensor: Any, label: str) -> None:

@@ -243,19 +243,19 @@ class _Pose:
     def of(sensor: Any) -> _Pose:
         """Read a perspective sensor."""
         width, height = film_size(sensor)
-        to_world = scene.to_world(sensor)
-        projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
+        record = describe(sensor)
+        to_world = np.array(record["to_world"])
+        projection = scene.read_matrix(sensor.projection_transform())
         # Mitsuba projects to [0, 1]^2 of the crop window; row 2 (depth) is not needed.
         # The projection excludes the principal point, which is in units of the full film.
         pixel = np.diag([width, height, 1.0, 1.0])
-        record = describe(sensor)
         for axis in range(2):
             pixel[axis, 3] = -record["principal_point_offset"][axis] * record["film"][axis]
         rows = (pixel @ projection @ np.linalg.inv(to_world))[[0, 1, 3]]
         return _Pose(
             size=(width, height),
-            camera=np.concatenate([rows.ravel(), to_world[:3, 3], [float(sensor.near_clip())]]),
-            rays=ray_floats(sensor),
+            camera=np.concatenate([rows.ravel(), to_world[:3, 3], record["clip"][:1]]),
+            rays=ray_floats(sensor, record),
             angle=float(1 / abs(projection[0, 0] * width)),
         )
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior.row_entropy import nats
-from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
+from svu_mi.posterior.truncated_normal import FULL_SUPPORT, ChannelLikelihood, ColorIntegrals
 
 UNLIKELY = 1e4  # -log prior of excluded cells; finite, so that float32 sums stay finite
 FAR = 60.0  # exp(-FAR) is negligible in a sum over cells whose largest term is about 1
@@ -156,13 +156,13 @@ class Colors:
     Attributes:
         edges: (K + 1,) cell edges; two equal edges if the colour is known.
         copies: Number of equal colour channels that each computed channel represents.
-        given: (rows * K,) Float, relative density of a colour cell given its row; None: uniform.
+        given: (rows * K,), relative density of a colour cell given its row; None: uniform.
         nodes: (K,) colours if they are discrete, else None.
     """
 
     edges: np.ndarray
     copies: int
-    given: Any | None
+    given: np.ndarray | None
     nodes: np.ndarray | None = None
 
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[ChannelFields]]:
@@ -192,7 +192,8 @@ class Colors:
         edges, K = self.edges.tolist(), len(self.edges) - 1
         density = None
         if self.given is not None:
-            density = [dr.gather(mi.Float, self.given, place * K + k) for k in range(K)]
+            given = to_drjit(mi.Float, self.given)
+            density = [dr.gather(mi.Float, given, place * K + k) for k in range(K)]
         if self.nodes is not None:
             integrals = _sum_over_nodes(channel, self.nodes.tolist(), density or [1.0] * K)
             mass = integrals.mass
@@ -201,6 +202,10 @@ class Colors:
             integrals = channel.integrate(edges)
             mass, bins = channel.integrate_masses(edges)
             integrals = replace(integrals, mass=mass, bins=bins)
+        elif self.given.min() > FULL_SUPPORT:
+            _, integrals = channel.integrate_full_support(edges, density)  # omitted likewise
+            log_mass, masses = channel.weighted_masses(edges, density)
+            mass, integrals = dr.exp(log_mass), replace(integrals, bins=masses.bins)
         else:
             log_mass, integrals = channel.integrate_with_prior(edges, density)
             mass = dr.exp(log_mass)
@@ -225,15 +230,14 @@ def _sum_over_nodes(
     return ColorIntegrals(mass, bins, mean, variance)
 
 
-def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, Any | None]:
+def prior_tables(prior: np.ndarray, usual: np.ndarray) -> tuple[Any, np.ndarray | None]:
     """Return -log prior of rows, (R * M,) Float, and colour densities divided by ``usual``.
 
-    ``prior`` is (R, M, K) and sums to 1. Densities are (R * M * K,) Float, or None if all are 1.
+    ``prior`` is (R, M, K) and sums to 1. Densities are (R * M * K,), or None if all are 1.
     """
     table = prior.reshape(-1, prior.shape[-1]).astype(np.float64)
     rows = table.sum(axis=1, keepdims=True)
     given = np.where(rows > 0, table / np.where(rows > 0, rows, 1), usual) / usual
     with np.errstate(divide="ignore"):
         energies = np.minimum(-np.log(rows.ravel()), UNLIKELY)
-    given = None if np.allclose(given, 1) else to_drjit(mi.Float, given.ravel())
-    return to_drjit(mi.Float, energies), given
+    return to_drjit(mi.Float, energies), None if np.allclose(given, 1) else given.ravel()
