@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
+from svu_mi.core.local_memory import allocate, load, store
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.node_integration import Node, NodeIntegrator
@@ -124,63 +125,61 @@ class BinMasses:
     """Masses of the bins (mixing parameters, channel, base colour) of one roughness bin.
 
     Attributes:
-        memory: masses in local memory.
+        memory: masses in local memory, by bin of the mixing parameters: an array for each channel
+            and bin of base colour.
         logs: Float, sum of a log a over the masses a of all finished bins.
     """
 
-    memory: Any
+    memory: list[Any]
     logs: Any
 
     @staticmethod
     def zeros(problem: CalibratedProblem, count: int) -> BinMasses:
         """Return empty bins."""
         _, of_column, of_color = problem.shape
-        number = of_column * problem.factors.channels * of_color
-        return BinMasses(zeroed_memory(number), dr.zeros(mi.Float, count))
+        memory = zeroed_memory(of_column, problem.factors.channels * of_color)
+        return BinMasses(memory, dr.zeros(mi.Float, count))
 
     def add(self, problem: CalibratedProblem, node: Node) -> None:
         """Add a node to its bins."""
-        of_color = problem.shape[2]
-        of_row = problem.factors.channels * of_color
-        column = dr.gather(mi.UInt32, problem.nodes.column, node.column) * of_row
-        for channel, color in enumerate(node.colors):
-            for k, part in enumerate(color.bins):
-                place = column + (channel * of_color + k)
-                self.memory[place] = self.memory[place] + node.weight * part
+        place = dr.gather(mi.UInt32, problem.nodes.column, node.column)
+        parts = [node.weight * part for color in node.colors for part in color.bins]
+        sums = [a + part for a, part in zip(load(self.memory, place), parts, strict=True)]
+        store(self.memory, place, sums)
 
     def finish_row(self, problem: CalibratedProblem, row: Any, best: BestBin) -> tuple[Any, Any]:
         """Clear the bins after the last node of a roughness bin, and update the best bin."""
-        channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
+        channels, of_color = problem.factors.channels, problem.shape[2]
         end = dr.gather(mi.UInt32, problem.nodes.last, row)
         first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
 
         def of_column(column: Any, bins: BinMasses, best: BestBin) -> tuple[Any, ...]:
-            places = [(column * channels + channel) * of_color for channel in range(channels)]
-            finished = [bins.finish(place, of_color) for place in places]
+            masses = bins.finish(column)
+            groups = [masses[k : k + of_color] for k in range(0, channels * of_color, of_color)]
             # The total mass is equal for all channels.
-            best.add(finished[0][0], first + column, [color for _, color in finished])
+            best.add(sum(groups[0]), first + column, [_largest(group) for group in groups])
             return column + 1, bins, best
 
         return dr.while_loop(
             (mi.UInt32(0), self, best), lambda column, *_: column < end, of_column
         )[1:]
 
-    def finish(self, place: Any, number: Any) -> tuple[Any, Any]:
-        """Clear ``number`` bins; return their total mass and the index of the largest."""
+    def finish(self, column: Any) -> list[Any]:
+        """Clear the bins of a bin of the mixing parameters; return their masses."""
+        masses = load(self.memory, column)
+        store(self.memory, column, [mi.Float(0)] * len(masses))
+        for a in masses:
+            self.logs = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), self.logs)
+        return masses
 
-        def add_bin(k: Any, bins: BinMasses, total: Any, top: Any, best: Any) -> tuple[Any, ...]:
-            a = bins.memory[place + k]
-            bins.memory[place + k] = mi.Float(0)
-            bins.logs = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), bins.logs)
-            return k + 1, bins, total + a, dr.maximum(top, a), dr.select(a > top, k, best)
 
-        count = dr.width(self.logs)
-        zero, none = dr.zeros(mi.Float, count), dr.zeros(mi.UInt32, count)
-        _, bins, total, _, best = dr.while_loop(
-            (mi.UInt32(0), self, zero, zero, none), lambda k, *_: k < number, add_bin
-        )
-        self.memory, self.logs = bins.memory, bins.logs
-        return total, best
+def _largest(masses: list[Any]) -> Any:
+    """Return the index of the largest mass (UInt32), the first if several are equal."""
+    top, index = masses[0], mi.UInt32(0)
+    for k, mass in enumerate(masses[1:], 1):
+        index = dr.select(mass > top, mi.UInt32(k), index)
+        top = dr.maximum(top, mass)
+    return index
 
 
 @dataclass
@@ -286,7 +285,7 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     first = texel * dr.opaque(mi.UInt32, rows) + bin_index
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
     result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # every value is written below
-    result = _write(masses.memory, size_of_row, result, first * size_of_row)
+    result = _write(masses.memory, problem.shape[1], result, first * size_of_row)
     dr.eval(result)
     return result
 
@@ -304,7 +303,7 @@ def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> An
         return (masses,)
 
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen))
-    (masses,) = integrator.fold_all(visit, (zeroed_memory(number),))
+    (masses,) = integrator.fold_all(visit, (zeroed_memory(number)[0],))
     return _to_blocks(masses, number, len(chosen))
 
 
@@ -328,7 +327,7 @@ def color_masses(
                 masses[number * K + k] = masses[number * K + k] + node.weight * part
         return (masses,)
 
-    (masses,) = integrator.fold_all(visit, (zeroed_memory(channels * K),))
+    (masses,) = integrator.fold_all(visit, (zeroed_memory(channels * K)[0],))
     blocks = [_to_blocks(masses, K, len(chosen), number * K) for number in range(channels)]
     dr.eval(blocks)
     return blocks
@@ -363,18 +362,19 @@ def draw(
         yield shared, colors
 
 
-def zeroed_memory(number: int) -> Any:
-    """Return local memory that is cleared in a loop (Dr.Jit 1.5 unrolls an initial value).
+def zeroed_memory(number: int, arrays: int = 1) -> list[Any]:
+    """Return arrays of local memory, cleared in a loop (Dr.Jit 1.5 unrolls an initial value).
 
     The loop's end is a literal: with an opaque one, Dr.Jit 1.5 reuses a kernel of another size.
     """
 
-    def clear(k: Any, memory: Any) -> tuple[Any, Any]:
-        memory[k] = mi.Float(0)
+    def clear(k: Any, memory: list[Any]) -> tuple[Any, Any]:
+        store(memory, k, [mi.Float(0)] * arrays)
         return k + 1, memory
 
-    start = (mi.UInt32(0), dr.alloc_local(mi.Float, number))
-    return dr.while_loop(start, lambda k, _: k < number, clear)[1]
+    start = (mi.UInt32(0), allocate(mi.Float, arrays, number))
+    memory: list[Any] = dr.while_loop(start, lambda k, _: k < number, clear)[1]
+    return memory
 
 
 def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
@@ -382,18 +382,20 @@ def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:
     target = dr.zeros(mi.Float, block_size(number, count))
     dr.eval(target)
     place = texel_offset(dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, number))
-    return _write(masses, number, target, place, BLOCK, first)
+    return _write([masses], number, target, place, BLOCK, first)
 
 
 def _write(
-    masses: Any, number: int, target: Any, place: Any, stride: int = 1, first: int = 0
+    memory: list[Any], number: int, target: Any, place: Any, stride: int = 1, first: int = 0
 ) -> Any:
-    """Write local memory to ``target``, starting at ``place``."""
+    """Write ``number`` blocks of local memory to ``target``, starting at ``place``."""
     end, first = dr.opaque(mi.UInt32, number), mi.UInt32(first)
 
-    def write(k: Any, masses: Any) -> tuple[Any, Any]:
-        dr.scatter(target, masses[first + k], place + k * stride, mode=dr.ReduceMode.NoConflicts)
-        return k + 1, masses
+    def write(k: Any, memory: list[Any]) -> tuple[Any, Any]:
+        for j, value in enumerate(load(memory, first + k)):
+            index = place + (k * len(memory) + j) * stride
+            dr.scatter(target, value, index, mode=dr.ReduceMode.NoConflicts)
+        return k + 1, memory
 
-    dr.while_loop((mi.UInt32(0), masses), lambda k, _: k < end, write)
+    dr.while_loop((mi.UInt32(0), memory), lambda k, _: k < end, write)
     return target

@@ -46,11 +46,13 @@ ERFCX_DOUBLE = (
 def erfcx(x: Any) -> Any:
     """Return exp(x^2) erfc(x) for x >= 0: Float or Float64."""
     coefficients = ERFCX if type(x) is mi.Float else ERFCX_DOUBLE
-    t = (x - 2.5) / (x + 2.5)
+    wide, scale = x + 2.5, dr.fma(2, x, 1)
+    inverse = dr.rcp(wide * scale)  # one division for both quotients
+    t = (x - 2.5) * scale * inverse
     value = type(x)(coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         value = dr.fma(value, t, coefficient)
-    return value / (1 + 2 * x)
+    return value * wide * inverse
 
 
 @dataclass(frozen=True)
