@@ -190,8 +190,9 @@ class Colors:
     def _integrate(self, channel: ChannelLikelihood, place: Any) -> tuple[Any, Any, Any, Any]:
         """Return mass, entropy of cells, mean and variance of a channel's colour."""
         edges, K = self.edges.tolist(), len(self.edges) - 1
-        density = None
+        density, least = None, 0.0
         if self.given is not None:
+            least = self.given.min()
             given = to_drjit(mi.Float, self.given)
             density = [dr.gather(mi.Float, given, place * K + k) for k in range(K)]
         if self.nodes is not None:
@@ -202,7 +203,7 @@ class Colors:
             integrals = channel.integrate(edges)
             mass, bins = channel.integrate_masses(edges)
             integrals = replace(integrals, mass=mass, bins=bins)
-        elif self.given.min() > FULL_SUPPORT:
+        elif least > FULL_SUPPORT:
             _, integrals = channel.integrate_full_support(edges, density)  # omitted likewise
             log_mass, masses = channel.weighted_masses(edges, density)
             mass, integrals = dr.exp(log_mass), replace(integrals, bins=masses.bins)

@@ -169,13 +169,12 @@ def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
     """Project a lat-long grid (H, W, C) onto SH, ((degree + 1)^2, C)."""
     rows, columns = grid.shape[:2]
     # phi is measured from -Z; the azimuth of the polar frame (from +Z) is pi - phi.
-    azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     m = np.arange(degree + 1)
-    wave = np.exp(-1j * np.outer(m, azimuth)) * (2 * np.pi / columns)
-    # In bands of rows, because the product converts its input to complex numbers.
+    turn = np.exp(-1j * np.pi * m * (1 - 1 / columns)) * (2 * np.pi / columns)
+    # In bands of rows, because FFTs convert their input to complex numbers.
     bands = np.array_split(grid, -(-grid.size // BAND))
-    rings = np.concatenate([np.tensordot(wave, band, axes=(1, 1)) for band in bands], axis=1)
-    rings *= quadrature(rows)[None, :, None]
+    rings = np.concatenate([np.fft.ifft(b, axis=1, norm="forward")[:, m % columns] for b in bands])
+    rings = np.moveaxis(rings, 1, 0) * turn[:, None, None] * quadrature(rows)[None, :, None]
     legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
     result = np.zeros(((degree + 1) ** 2, grid.shape[2]))
     for order in range(degree + 1):

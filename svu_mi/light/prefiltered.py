@@ -87,7 +87,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     """
     if width < DELTA:
         return grid
-    if np.ptp(grid, axis=(0, 1)).max() == 0:
+    if (grid == grid[:1, :1]).all():
         return grid[:2, :2]
     flux = _coarsened(grid, width)
     rows, columns = flux.shape[:2]
@@ -97,24 +97,24 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     flux = flux[..., :-1] if even else flux
     theta = np.pi * np.arange(rows) / (rows - 1)
     turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # half, by symmetry
-    spectrum = np.fft.rfft(flux, axis=1)
     weight = profile(np.cos(theta))
     reach = int(np.flatnonzero(np.abs(weight) > NEGLIGIBLE * weight[0])[-1]) + 1
-    result = np.empty_like(flux)
+    waves = np.fft.rfft(flux, axis=1)
+    result = np.empty_like(waves)
+    # By symmetry of the poles, one kernel is used for two rows.
+    pairs = np.stack([waves, waves[::-1]], axis=2).view(np.float64).reshape(rows, len(turn), -1)
+    pairs = np.ascontiguousarray(np.moveaxis(pairs, 1, 0))
     for i in range((rows + 1) // 2):
         near = slice(max(i - reach, 0), i + reach + 1)
-        cosine = np.cos(theta[i]) * np.cos(theta[near, None]) + (
-            np.sin(theta[i]) * np.sin(theta[near, None]) * turn
-        )
-        kernel = profile(np.clip(cosine, -1, 1))
-        full = np.concatenate([kernel, kernel[:, columns - columns // 2 - 1 : 0 : -1]], axis=1)
-        wave = np.fft.rfft(full, axis=1)
+        cosine = np.sin(theta[i]) * np.sin(theta[near, None]) * turn
+        cosine += np.cos(theta[i]) * np.cos(theta[near, None])
+        kernel = np.fft.hfft(profile(np.clip(cosine, -1, 1)), n=columns, axis=1)[:, : len(turn)]
         if even:
-            wave /= full.sum(axis=1) @ solid[near]
-        # By symmetry of the poles, one kernel is used for two rows.
-        for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
-            summed = np.einsum("jm,jmc->mc", wave, seen[near])
-            result[row] = np.fft.irfft(summed, n=columns, axis=0)
+            kernel /= kernel[:, 0] @ solid[near]
+        summed = np.ascontiguousarray(kernel.T)[:, None] @ pairs[:, near]
+        summed = summed.view(np.complex128).reshape(len(turn), 2, -1)
+        result[i], result[rows - 1 - i] = summed[:, 0], summed[:, 1]
+    result = np.fft.irfft(result, n=columns, axis=1)
     # Rounding of the FFT, and lobes with negative parts, may cause negative values.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
