@@ -100,7 +100,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     weight = profile(np.cos(theta))
     reach = int(np.flatnonzero(np.abs(weight) > NEGLIGIBLE * weight[0])[-1]) + 1
     waves = np.fft.rfft(flux, axis=1)
-    result = np.empty_like(waves)
+    summed_waves = np.empty_like(waves)
     # By symmetry of the poles, one kernel is used for two rows.
     pairs = np.stack([waves, waves[::-1]], axis=2).view(np.float64).reshape(rows, len(turn), -1)
     pairs = np.ascontiguousarray(np.moveaxis(pairs, 1, 0))
@@ -112,9 +112,9 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         if even:
             kernel /= kernel[:, 0] @ solid[near]
         summed = np.ascontiguousarray(kernel.T)[:, None] @ pairs[:, near]
-        summed = summed.view(np.complex128).reshape(len(turn), 2, -1)
-        result[i], result[rows - 1 - i] = summed[:, 0], summed[:, 1]
-    result = np.fft.irfft(result, n=columns, axis=1)
+        both = summed.view(np.complex128).reshape(len(turn), 2, -1)
+        summed_waves[i], summed_waves[rows - 1 - i] = both[:, 0], both[:, 1]
+    result = np.fft.irfft(summed_waves, n=columns, axis=1)
     # Rounding of the FFT, and lobes with negative parts, may cause negative values.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
