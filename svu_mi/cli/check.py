@@ -102,9 +102,8 @@ def _view_table(result: Check) -> Any:
     from svu_mi.calibration.checks.check_result import ViewMeans
 
     shown = min(SHOWN, len(result.views))
-    table = Table(
-        f"worst {shown} of {len(result.views)}", "IoU", "outline contrast", "colour error", box=None
-    )
+    titles = "IoU", "outline contrast", "diffuse misfit"
+    table = Table(f"worst {shown} of {len(result.views)}", *titles, box=None)
     for view in result.worst[:SHOWN]:
         table.add_row(view.name, *_fit_numbers(view))
     table.add_row(f"all {len(result.views)}", *_fit_numbers(ViewMeans.of(result.views)))

@@ -54,7 +54,7 @@ MEASURES = {
         "Contrast along the outline", "rank of the gradient; 0.5 is chance", "contrast"
     ),
     "color_error": (
-        "Colour difference", "relative, from a diffuse object in this light", "colour error"
+        "Diffuse misfit", "relative, from a diffuse object; gloss raises it", "diffuse misfit"
     ),
 }  # fmt: skip
 

@@ -13,13 +13,19 @@ import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.light_folder import COMMAND, RECORD, light_record, write_light_arrays
-from svu_mi.calibration.light.light_summary import LightComparison, channel_factors, horizon
+from svu_mi.calibration.light.light_summary import (
+    LightComparison,
+    channel_factors,
+    horizon,
+    nearest_axis,
+)
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.tonemap import srgb
 from svu_mi.capture.up_direction import UP, up_direction
 from svu_mi.core.io.output_folder import writing
+from svu_mi.light.environment import nearest_node
 from svu_mi.light.latlong import directions, radiance_from
 from svu_mi.output import object_views, style
 from svu_mi.output.interval_summary import plain_percent
@@ -44,8 +50,6 @@ KNOWN_COLORMAP = f"{style.COLORMAP}_r"  # yellow is uncertain, as on all pages
 UNCERTAIN = 1.5  # upper end of the scale of log standard deviations
 # Material in these pictures.
 GREY_PLASTIC = dict.fromkeys(NAMES, 0.0) | {"base_color": 0.2, "roughness": 0.25}
-POLE = 0.9999  # |y| from which a direction is drawn in the middle column
-AXIS = ((0.0, "-Z"), (0.25, "+X"), (0.5, "+Z"), (0.75, "-X"), (1.0, "-Z"))
 
 
 def write_light(
@@ -207,7 +211,7 @@ def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str
 
 
 def _draw_colors(axes: Axes, colors: np.ndarray, up: np.ndarray) -> None:
-    axes.imshow(colors, extent=(0, 1, 0, 0.5), interpolation="nearest")
+    axes.imshow(upright(colors, up), extent=(0, 1, 0, 0.5), interpolation="nearest")
     _label_directions(axes, up)
 
 
@@ -216,7 +220,7 @@ def _draw_scaled(
     colormap: str = style.COLORMAP,
 ) -> None:  # fmt: skip
     drawn = axes.imshow(
-        values, colormap, vmin=limits[0], vmax=limits[1], extent=(0, 1, 0, 0.5),
+        upright(values, up), colormap, vmin=limits[0], vmax=limits[1], extent=(0, 1, 0, 0.5),
         interpolation="nearest",
     )  # fmt: skip
     _label_directions(axes, up)
@@ -224,27 +228,19 @@ def _draw_scaled(
 
 
 def _label_directions(axes: Axes, up: np.ndarray) -> None:
-    """Label the axes of a lat-long map, and the directions ``up`` and down."""
+    """Label the azimuths of a map, draw the horizon, and mark the directions up and down."""
     style.frame_map(axes)
-    axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
-    axes.set_yticks((0, 0.5), ("-Y", "+Y"))
+    ahead, right = (nearest_axis(direction) for direction in horizon(up))
+    azimuths = (f"0° {ahead}", f"90° {right}", "180°", "270°", "360°")
+    axes.set_xticks(np.linspace(0, 1, 5), azimuths)
+    axes.set_yticks((0, 0.25, 0.5), ("down", "horizon", "up"))
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
+    axes.axhline(0.25, color="white", linewidth=0.8, linestyle=":")
+
+
+def upright(values: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Return a lat-long map (H, W, ...) with ``up`` (3,) at its top and azimuth 0 at its left."""
+    height, width = values.shape[:2]
     ahead, right = horizon(up)
-    turns = np.linspace(0, 2 * np.pi, 721)[:, None]
-    level = np.cos(turns) * ahead + np.sin(turns) * right
-    x, y = np.array([map_place(direction) for direction in level]).T
-    axes.plot(x, y, ".", color="white", markersize=1.6, markeredgewidth=0)
-    for name, direction in (("up", up), ("down", -up)):
-        x, y = map_place(direction)
-        axes.text(
-            np.clip(x, 0.03, 0.97), np.clip(y, 0.02, 0.48), name, size=style.TEXT, color=style.INK,
-            ha="center", va="center",
-            bbox={"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": style.RULE},
-        )  # fmt: skip
-
-
-def map_place(direction: np.ndarray) -> tuple[float, float]:
-    """Return x in [0, 1) and y in [0, 0.5], upwards, of a unit vector (3,) on a lat-long map."""
-    x, y, z = (float(value) for value in direction)
-    across = 0.5 if abs(y) > POLE else np.arctan2(x, -z) / (2 * np.pi) % 1
-    return float(across), 0.25 + float(np.arcsin(np.clip(y, -1, 1))) / (2 * np.pi)
+    world = directions(width, height) @ np.stack([right, up, -ahead])
+    return np.asarray(values[nearest_node(world, height, width)])

@@ -12,6 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.text import Text
 
 import svu_mi as svu
+from svu_mi.light.latlong import directions
 from svu_mi.output import guidance_page, light_page, object_views, overview, style
 from svu_mi.output.interval_summary import IntervalSummary
 from svu_mi.output.recovery_page import write_recovery_overview
@@ -109,16 +110,18 @@ def test_gains_of_proposals_are_percent_of_the_entropy(vase, drawn):
 
 
 @pytest.mark.parametrize(
-    ("direction", "expected"),
-    [((0, 1, 0), (0.5, 0.5)), ((0, -1, 0), (0.5, 0)), ((0, 0, 1), (0.5, 0.25)),
-     ((1, 0, 0), (0.25, 0.25)), ((-0.6, 0.8, 0), (0.75, 0.25 + 0.9273 / (2 * np.pi)))],
+    ("up", "ahead", "right"),
+    [((0, 1, 0), (0, 0, -1), (1, 0, 0)), ((0, 0, 1), (0, 1, 0), (1, 0, 0)),
+     ((0, -1, 0), (0, 0, -1), (-1, 0, 0))],
 )  # fmt: skip
-def test_directions_are_where_the_map_has_them(direction, expected):
-    assert light_page.map_place(np.array(direction, float)) == pytest.approx(expected, abs=1e-4)
-
-
-def test_up_is_marked_on_maps_of_light():
+def test_maps_of_light_stand_upright(up, ahead, right):
+    world = directions(256, 129)  # a map of its own directions
+    drawn = light_page.upright(world, np.array(up, float))
+    places = drawn[0, 9], drawn[64, 0], drawn[64, 64], drawn[128, 9]
+    expected = up, ahead, right, -np.array(up)
+    np.testing.assert_allclose(places, expected, atol=0.03)  # a pixel
     axes = style.new_figure(4, 2).add_subplot()
-    light_page._label_directions(axes, np.array([0.0, 0, 1]))
-    assert {t.get_text(): t.get_position() for t in axes.texts}["up"] == (0.5, 0.25)
-    assert [t.get_text() for t in axes.get_yticklabels()] == ["-Y", "+Y"]
+    light_page._label_directions(axes, np.array(up, float))
+    labels = [label.get_text() for label in axes.get_xticklabels()]
+    letters = ["XYZ"[np.abs(x).argmax()] for x in (ahead, right)]
+    assert [label[-1] for label in labels[:2]] == letters

@@ -158,7 +158,7 @@ def _fit(score: PoseScore) -> str:
     shape = f"contrast along the outline {score.silhouette:.2f} (chance: 0.5)"
     if score.masked:
         shape = f"silhouettes overlap by {score.silhouette:.2f}"
-    return f"{shape}, views agree by {score.agreement:.2f} of 1 at {SMALL} pixels"
+    return f"{shape}, views agree by {score.agreement:.2f} of 1, both at {SMALL} pixels"
 
 
 def decide_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:

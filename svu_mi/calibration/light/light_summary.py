@@ -110,7 +110,7 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
     # Azimuth as in Mitsuba's envmap: from -Z towards +X, if +Y is up.
     ahead, right = horizon(up)
     azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
-    axes = f"0 is {_nearest_axis(ahead)}, 90 is {_nearest_axis(right)}"
+    axes = f"0 is {nearest_axis(ahead)}, 90 is {nearest_axis(right)}"
     return (
         f"Brightest direction: {_vector(toward)} in world space, elevation {elevation:.0f} "
         f"degrees, azimuth {azimuth:.0f} degrees ({axes})."
@@ -199,7 +199,7 @@ def horizon(up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return ahead, np.cross(ahead, up)
 
 
-def _nearest_axis(direction: np.ndarray) -> str:
+def nearest_axis(direction: np.ndarray) -> str:
     """Return the world axis next to a direction, such as -Z; the direction if none is near."""
     axis = int(np.argmax(np.abs(direction)))
     if abs(direction[axis]) < NEAR_AXIS:
