@@ -17,6 +17,7 @@ from itertools import count
 import numpy as np
 
 from svu_mi.calibration.exposure import starting_gains, step_gains, without_gains
+from svu_mi.calibration.light.dim_light import with_level_of_dim_cells
 from svu_mi.calibration.light.gauss_newton import LightFit, LightPriors, normal_equations
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.calibration.light.light_options import LightOptions
@@ -37,7 +38,6 @@ from svu_mi.calibration.light.light_uncertainty import (
     sample_lights,
     scale_of,
     widening_of,
-    with_level_of_dim_cells,
 )
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.scene import has_lamps

@@ -49,10 +49,6 @@ LOOSE = 0.5  # standard deviation of the log level with less
 UNKNOWN = 0.25  # median fraction of removed prior variance, below which a remark is made
 MOST_WIDENED = 1e4  # textures carry no information
 
-BRIGHT = 0.8  # share of the flux of the bright cells
-DIM_STEPS = np.linspace(-1.5, 0.5, 5)  # tested log factors of the dim cells
-LEVELS = np.linspace(-0.8, 0.8, 9)  # log levels of the whole light, the best one for each factor
-
 # Negative log probability of noise: SHARPNESS log(noise / least).
 SHARPNESS = 0.5 * NINETY**2 / log(TOLERANCE)
 
@@ -155,33 +151,6 @@ def _slope_and_covariance(
     axes = PLANE @ vectors
     curvature = np.maximum(values, COLOR.scale**-2)  # at least the prior curvature
     return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T
-
-
-def with_level_of_dim_cells(
-    transport: Transport, x: np.ndarray, switches: AngularPreset
-) -> np.ndarray:
-    """Return log radiance (N, 3) with another level of the dim cells.
-
-    Texels that see no bright cell, such as in shadow, can also be explained by too bright dim cells
-    and darker materials, which Gauss-Newton steps from constant light hardly leave. The common
-    factor of all dim cells follows from the noise of texels (``transport``) that the light was not
-    fitted to.
-    """
-    samples, kept = transport.samples.without_steep_views()
-    levels = np.exp(np.repeat(LEVELS[:, None], 3, axis=1))
-    fine = np.linspace(DIM_STEPS[0], DIM_STEPS[-1], 201)
-
-    def noise(light: np.ndarray) -> float:
-        columns = columns_of(transport, np.exp(light), switches).subset(kept)
-        return float(SampleMoments.of(samples, columns).noise(switches, levels).min())
-
-    flux = np.exp(x).mean(axis=1)
-    order = np.argsort(-flux)
-    dim = np.ones((len(x), 1))
-    dim[order[: np.searchsorted(np.cumsum(flux[order]), BRIGHT * flux.sum())]] = 0
-    logarithms = np.log([noise(x + step * dim) for step in DIM_STEPS])
-    best = fine[scipy.interpolate.CubicSpline(DIM_STEPS, logarithms)(fine).argmin()]
-    return np.asarray(x + best * dim)
 
 
 class LightSamples(NamedTuple):
