@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracle.cells import gains
+from scipy.spatial.distance import jensenshannon
 from support.helpers import made_up_light, render_ball, turning
 from support.made_up_samples import (
     SWITCHES,
@@ -20,6 +21,7 @@ from support.made_up_samples import (
 )
 
 import svu_mi as svu
+from svu_mi.calibration.light.dim_light import divergence, with_level_of_dim_cells
 from svu_mi.calibration.light.gauss_newton import (
     COLOR_SD,
     MATERIAL_SD,
@@ -316,6 +318,27 @@ def test_light_of_another_colour_is_found_out():
     assert (abs(tint) < 1.645 * right.tint).all() and (right.tint < 0.3).all()
     np.testing.assert_allclose(wrong - tint, [-0.25, 0.05, 0.2], atol=0.08)
     assert (right.sd >= right.common).all()
+
+
+@pytest.mark.parametrize("added", [0.0, 0.7])
+def test_a_room_that_is_too_bright_beside_its_window_is_found_out(added):
+    samples, materials = made_up(200, 12)
+    window = fibonacci(256) @ [0.48, 0.6, 0.64] > 0.9
+    x = np.log(np.where(window, 100.0, 0.2))[:, None] * np.ones((1, 3))
+    noise = 1 + 0.02 * np.random.default_rng(5).normal(size=(samples.count, 3))
+    seen = (reflected(Transport.of(samples, 256), np.exp(x), materials) * noise).astype(np.float32)
+    samples = replace(samples, radiance=seen, unit=float(seen.mean()))
+    wrong = x + added * ~window[:, None]
+    found = with_level_of_dim_cells(Transport.of(samples, 256), wrong, SWITCHES)
+    assert np.quantile(np.abs(found - x), 0.98) < 0.1
+
+
+def test_two_means_are_compared_by_their_divergence():
+    rng = np.random.default_rng(20931)
+    p, share = rng.dirichlet(np.full(24, 0.3), (9, 3)).transpose(0, 2, 1), rng.random(9)
+    two = [np.average(p, axis=0, weights=w) for w in (share, 1 - share)]
+    expected = np.square(jensenshannon(*two)).mean()  # per channel
+    assert divergence(p.reshape(9, 2, 3, 4, 3), share) == pytest.approx(expected)
 
 
 def test_other_lights_are_as_bright_and_textures_less_certain():

@@ -64,6 +64,10 @@ def test_nothing_is_kept_beside_a_scene(tmp_path):
     assert run("entropy", path, *words, "-o", tmp_path / "out") == 0
     after = names(tmp_path), names(tmp_path / "images")
     assert after == (sorted([*before[0], "out"]), before[1])
+    record = {"format": "svu-capture", "scene": f"../{path.name}"}  # of the page on captures
+    (tmp_path / "images" / "capture.json").write_text(json.dumps(record))
+    assert run("entropy", tmp_path / "images", *words[2:], "-o", tmp_path / "out") == 0
+    assert (tmp_path / "images" / "cache").is_dir()
 
 
 def test_the_size_is_checked_before_any_work(shot, capsys):

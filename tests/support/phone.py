@@ -22,7 +22,7 @@ from svu_mi.capture.scene import load_scene, to_world
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.parameters import CHANNELS
 
-OBJECT, LIGHT = scenes.path("knot"), "studio"
+OBJECT, LIGHT = scenes.path("vase"), "window"
 VIEWS, WIDTH, HEIGHT = 30, 256, 192
 FAR = 3.9  # distance of the cameras
 MARGIN = 24  # pixels around a photograph that its lens bends into it
