@@ -249,7 +249,7 @@ class AngularPreset(_Channels):
 
     metal_share: float | None = None
     """Prior probability that metallic is 1 where it is 0 or 1. None: learned from the object by
-    ``estimate``, between 0.12 and 0.88; otherwise 0.5 (calibrated)."""
+    ``estimate``, between 0.06 and 0.83; otherwise 0.5 (calibrated)."""
 
     bare_metals: float = 0.5
     """Prior probability that a channel of a metal's base colour is that of bare metals, about 0.4
