@@ -33,7 +33,8 @@ class ReflectionPatterns(Residuals):
     def fit(self, values: np.ndarray, columns: np.ndarray) -> float:
         """Return the part of a view dependence that a combination of columns explains."""
         columns = self.within(columns)
-        best = np.linalg.lstsq(columns, values, rcond=None)[0]
+        # Normal equations: an SVD of all samples takes seven times as long.
+        best = np.linalg.lstsq(columns.T @ columns, columns.T @ values, rcond=None)[0]
         return explained(values, columns @ best, values)
 
     @cached_property
