@@ -291,19 +291,22 @@ class CalibratedKernel(Kernel):
         drawn = {name: np.empty((count, len(texels), self.channels_of(name)), np.float32)
                  for name in names}  # fmt: skip
         for first in range(0, count, DRAWN_TOGETHER):
+            here = slice(first, min(first + DRAWN_TOGETHER, count))
             random = [self._random(seed, first + k, lanes) for k in range(DRAWN_TOGETHER)]
-            samples = kernel.draw(problem, lanes, total, random)
-            for number, (shared, colors) in zip(range(first, count), samples, strict=False):
-                for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
-                    own = np.stack([np.array(x) for x in values], axis=-1)
-                    drawn[name][number] = self._stretched(name, own, texels)
+            shared, colors = kernel.draw(
+                problem, lanes, total, np.stack(random, axis=1), here.stop - first
+            )
+            for name, values in zip(names, [*([x] for x in shared), colors], strict=True):
+                own = np.stack([np.array(x) for x in values], axis=-1)
+                own = own.reshape(-1, len(lanes), len(values))
+                drawn[name][here] = self._stretched(name, own, texels)
         return drawn
 
-    def _random(self, seed: int, number: int, lanes: np.ndarray) -> list[Any]:
-        """Return the random Floats of a draw at some lanes (see ``kernel.draw``)."""
+    def _random(self, seed: int, number: int, lanes: np.ndarray) -> np.ndarray:
+        """Return the random numbers of a draw at t lanes, (K, t) float32 (see ``kernel.draw``)."""
         shape = len(self.grid.axes) + 2 * self.channels, self.problem.factors.count
         random = np.random.default_rng((seed, number)).random(shape, np.float32)
-        return [to_drjit(mi.Float, u[lanes]) for u in random]
+        return random[:, lanes]
 
     def without_common_scale(self) -> CalibratedKernel:
         """Return the kernel without the uncertainty of the common scale."""

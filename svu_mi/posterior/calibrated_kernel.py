@@ -6,7 +6,6 @@ Each result needs one pass over the nodes of roughness and the mixing parameters
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.core.local_memory import allocate, load, store
+from svu_mi.core.local_memory import allocate, load, scatter_strided, store
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.node_integration import Node, NodeIntegrator
@@ -272,7 +271,8 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     # Lanes of a packet share a roughness bin, so they skip nearly the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
     texel, bin_index = launch % number, launch // number
-    integrator = NodeIntegrator(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
+    lane = dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel)
+    integrator = NodeIntegrator(problem, lane, problem.edges)
 
     def visit(node: Node, masses: BinMasses) -> tuple[BinMasses]:
         masses.add(problem, node)
@@ -302,7 +302,7 @@ def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> An
         masses[k] = masses[k] + node.weight
         return (masses,)
 
-    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen))
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), problem.edges)
     (masses,) = integrator.fold_all(visit, (zeroed_memory(number)[0],))
     return _to_blocks(masses, number, len(chosen))
 
@@ -334,32 +334,38 @@ def color_masses(
 
 
 def draw(
-    problem: CalibratedProblem, lanes: np.ndarray, total: Any, random: list[list[Any]]
-) -> Iterator[tuple[list[Any], list[Any]]]:
-    """Sample roughness, mixing parameters, and base colour per channel of t texels: (t,) Floats.
+    problem: CalibratedProblem, lanes: np.ndarray, total: Any, random: np.ndarray, count: int
+) -> tuple[list[Any], list[Any]]:
+    """Sample roughness, mixing parameters, and base colour per channel, ``count`` times.
 
-    Each item of ``random`` gives a sample; one pass over the nodes finds those of all samples. An
-    item is a list of (t,) Floats in [0, 1): one for the node, one for each shared parameter, and
-    two for each channel. ``total`` is the mass of each texel.
+    ``random`` are D >= ``count`` draws of t texels in [0, 1), (K, D, t) float32: K = one for the
+    node, one for each shared parameter, and two for each channel. One pass over the nodes finds
+    those of all draws. ``total`` is the mass of each texel. Returns (count * t,) Floats.
     """
-    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes.astype(np.uint32)))
-    nodes, targets = problem.nodes, [first * total for first, *_ in random]
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes), problem.edges)
+    nodes, columns = problem.nodes, dr.opaque(mi.UInt32, problem.mixed.count)
+    targets = [to_drjit(mi.Float, first) * total for first in random[0]]
 
     def visit(node: Node, below: Any, *found: Any) -> tuple[Any, ...]:
-        reached = [below <= target for target in targets for _ in range(2)]
-        here = (node.row, node.column) * len(targets)
-        return below + node.weight, *map(dr.select, reached, here, found)
+        here = node.row * columns + node.column
+        several = [dr.select(below <= target, here, old)
+                   for target, old in zip(targets, found, strict=True)]  # fmt: skip
+        return below + node.weight, *several
 
-    zero = dr.zeros(mi.UInt32, len(lanes))
-    start = (dr.zeros(mi.Float, len(lanes)), *[zero] * (2 * len(targets)))
+    size, zero = dr.opaque(mi.UInt32, len(lanes)), dr.zeros(mi.UInt32, len(lanes))
+    start = (dr.zeros(mi.Float, len(lanes)), *[zero] * len(targets))
     _, *found = integrator.fold_all(visit, start)
-    dr.eval(found)
-    for row, column, (_, *rest) in zip(found[::2], found[1::2], random, strict=True):
-        places = [(nodes.rows, row), *((values, column) for values in nodes.columns)]
-        colors = integrator.draw_colors(row, column, rest[len(places) :])
-        shared = [values.sample(place, u) for (values, place), u in zip(places, rest, strict=False)]
-        dr.eval(colors, shared)
-        yield shared, colors
+    drawn = dr.zeros(mi.UInt32, len(targets) * len(lanes))
+    drawn = scatter_strided(drawn, found, dr.arange(mi.UInt32, len(lanes)), size)
+    dr.eval(drawn)
+    place = dr.gather(mi.UInt32, drawn, dr.arange(mi.UInt32, count * len(lanes)))
+    row, rest = place // columns, [to_drjit(mi.Float, x[:count].ravel()) for x in random[1:]]
+    places = [(nodes.rows, row), *((values, place % columns) for values in nodes.columns)]
+    again = NodeIntegrator(problem, to_drjit(mi.UInt32, np.tile(lanes, count)))
+    colors = again.draw_colors(row, place % columns, rest[len(places) :])
+    shared = [values.sample(node, u) for (values, node), u in zip(places, rest, strict=False)]
+    dr.eval(colors, shared)
+    return shared, colors
 
 
 def zeroed_memory(number: int, arrays: int = 1) -> list[Any]:
