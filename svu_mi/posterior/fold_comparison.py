@@ -70,7 +70,12 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         if switches.traced:
             observed.trace_light(switches)
         parts = observed.without(texels, [np.array([], int), *folds])
-        statistics = gather_sums(inputs, parts, switches)
+        if parts.clipped_coverage is None:  # sums add up: each photograph is read once
+            rest = [np.setdiff1d(np.arange(len(cameras)), fold) for fold in folds]
+            of_folds = gather_sums(inputs, observed.without(texels, rest), switches)
+            statistics = of_folds.left_out(len(folds))
+        else:
+            statistics = gather_sums(inputs, parts, switches)
         posterior = calibrated_posterior(
             statistics, inputs.grid, inputs.observed.unit, switches, prior=inputs.prior,
             copies=plan.copies,

@@ -155,6 +155,25 @@ class Statistics:
         """(S,) float64, sum of the weights of samples."""
         return blocks.from_blocks(self.sums, self.rows, self.count)[-1]
 
+    def left_out(self, groups: int) -> Statistics:
+        """Return the sums of all groups of views, and those without each: (1 + G) t texels.
+
+        Texel g t + k of this is texel k in the views of group g alone.
+        """
+
+        def combined(values: np.ndarray) -> np.ndarray:
+            of_groups = values.reshape(-1, groups, self.count // groups)
+            total = of_groups.sum(axis=1, keepdims=True)
+            without = np.concatenate([total, total - of_groups], axis=1)
+            return np.asarray(without.reshape(len(of_groups), -1))
+
+        sums = combined(blocks.from_blocks(self.sums, self.rows, self.count))
+        return replace(
+            self, sums=blocks.to_blocks(mi.Float64, sums),
+            counts=to_drjit(mi.Float, combined(self.counts.numpy())[0]),
+            texel=dr.arange(mi.UInt32, sums.shape[1]),
+        )  # fmt: skip
+
     def subset(self, lanes: np.ndarray) -> Statistics:
         """Return the statistics of the texels in ``lanes``, indices in [0, S)."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))

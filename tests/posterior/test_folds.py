@@ -131,6 +131,9 @@ def test_statistics_without_a_fold_are_those_of_the_other_photographs(capture, l
         whole = expected.statistics(levels, preset(), 3, weighting=weighting, texels=texels)
         part = table[..., number * len(texels) : (number + 1) * len(texels)]
         np.testing.assert_allclose(part, whole.table(), rtol=1e-5, atol=1e-9)
+    alone = observed.without(texels, [others, fold])
+    sums = alone.statistics(levels, preset(), 3, weighting=weighting).left_out(2)
+    np.testing.assert_allclose(sums.table()[..., : table.shape[-1]], table, rtol=1e-9, atol=1e-12)
 
 
 def test_means_stay_and_error_bars_are_multiplied(estimates):
