@@ -356,7 +356,7 @@ def test_shared_prior_matches_expectation_maximisation(how: empirical_bayes.Lear
     given = samples.sums(), samples.w.sum(axis=1), np.full(100, 12)
     prior = oracle.common_prior(
         *given, alone.prior, rounds=how.rounds, sharpness=empirical_bayes.SHARPNESS,
-        otherwise=how.otherwise, **options,
+        otherwise=how.otherwise, capped=how.capped, **options,
     )  # fmt: skip
     truth = oracle.posterior(*given, prior=prior, **options)
     shared = empirical_bayes.with_empirical_prior(alone, how)
