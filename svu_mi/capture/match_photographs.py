@@ -52,9 +52,7 @@ def match_photographs(
     """
     if not folder.is_dir():
         lack = "is a file" if folder.exists() else "no such folder"
-        raise CaptureError(
-            f"{folder}: {lack}; give the folder of view_0000.exr, ... with --images."
-        )
+        raise CaptureError(f"{folder}: {lack}; give the folder of the photographs with --images.")
     pictures = _image_files(folder)
     numbers = [f"{VIEW}{index:04d}" for index in range(len(ids))]
     stems = {path.stem for path in pictures}

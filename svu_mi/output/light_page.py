@@ -228,12 +228,12 @@ def _draw_scaled(
 
 
 def _label_directions(axes: Axes, up: np.ndarray) -> None:
-    """Label the azimuths of a map, draw the horizon, and mark the directions up and down."""
+    """Label azimuths and elevations of a map, and draw the horizon."""
     style.frame_map(axes)
     ahead, right = (nearest_axis(direction) for direction in horizon(up))
     azimuths = (f"0° {ahead}", f"90° {right}", "180°", "270°", "360°")
     axes.set_xticks(np.linspace(0, 1, 5), azimuths)
-    axes.set_yticks((0, 0.25, 0.5), ("down", "horizon", "up"))
+    axes.set_yticks((0, 0.25, 0.5), ("down", "0°", "up"))
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
     axes.axhline(0.25, color="white", linewidth=0.8, linestyle=":")
 

@@ -42,7 +42,13 @@ from svu_mi.calibration.checks.surface_samples import (
     scatter_points,
     texture_fit,
 )
-from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs, silhouettes
+from svu_mi.calibration.checks.thumbnails import (
+    Thumbnails,
+    contrast,
+    outline,
+    reduce_photographs,
+    silhouettes,
+)
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Flash
 from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
@@ -103,6 +109,14 @@ def photographed(shape, light, bsdf, count=VIEWS, film=FILM):
 def sky(picture):
     small = np.ascontiguousarray(picture[::2, ::2], np.float32)
     return {"type": "envmap", "bitmap": mi.Bitmap(small)}
+
+
+def test_outlines_on_black_are_sharp_in_spite_of_noise():
+    """Most pixels are black; JPEG leaves some of one code beside the object."""
+    seen = np.hypot(*np.indices((60, 80)) - 30) < 20
+    noise = np.random.default_rng(4117).random((60, 80)) < 0.1
+    image = np.where(seen, 0.2, np.where(noise, 3e-4, 0))[..., None] * np.ones(3)
+    assert contrast(image)[outline(seen)].min() > 0.9
 
 
 @pytest.fixture(scope="module")

@@ -164,7 +164,8 @@ def outline(seen: np.ndarray) -> np.ndarray:
 def contrast(radiance: np.ndarray) -> np.ndarray:
     """Return the gradient rank in [0, 1] of each pixel (h, w); NaN marks unusable pixels."""
     grey = np.nan_to_num(radiance.mean(axis=2), nan=np.nanmax(radiance, initial=0))
-    shown = grey / (grey + max(float(np.median(grey)), 1e-12))
+    # The mean counts, too: the median of a dark background would turn its noise to white.
+    shown = grey / (grey + max(float(np.median(grey)), 0.2 * float(grey.mean()), 1e-12))
     gradient = np.hypot(*np.gradient(shown)) if min(shown.shape) > 1 else np.zeros(shown.shape)
     rank = np.searchsorted(np.sort(gradient.ravel()), gradient, side="left")
     return rank / gradient.size

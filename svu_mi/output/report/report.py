@@ -156,13 +156,11 @@ def _shared(capture: Capture, settings: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _light(capture: Capture) -> dict[str, Any] | None:
     """Return maps and text of an estimated light; None if the light was given."""
-    light = capture.found_light
+    light, up = capture.found_light, up_direction(capture)
     if light is None:
         return None
-    return {
-        "maps": report_pictures.light_maps(light),
-        "sentences": list(summary_sentences(light, up_direction(capture))),
-    }
+    sentences = list(summary_sentences(light, up))
+    return {"maps": report_pictures.light_maps(light, up), "sentences": sentences}
 
 
 def _errors(

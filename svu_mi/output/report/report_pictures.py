@@ -24,7 +24,7 @@ from svu_mi.output.html import (
     percent,
 )
 from svu_mi.output.interval_summary import Intervals
-from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
+from svu_mi.output.light_page import deviation_colors, known_colors, light_colors, upright
 from svu_mi.output.panels import map_colors
 from svu_mi.output.report.report_plots import Plot
 from svu_mi.output.report.turntable import Turntable
@@ -148,16 +148,16 @@ def texture_maps(
     return _pictures(table, shown, inside)
 
 
-def light_maps(light: LightEstimate) -> list[tuple[str, str, PageImage]]:
-    """Return names, sentences and pictures of estimated light."""
+def light_maps(light: LightEstimate, up: np.ndarray) -> list[tuple[str, str, PageImage]]:
+    """Return names, sentences and pictures of estimated light, with ``up`` (3,) at the top."""
     maps = (
-        ("Radiance", "Lat-long map: top +Y, centre +Z.", light_colors(light.radiance)),
+        ("Radiance", "Lat-long map: up is at the top, azimuth 0 at the left.", light_colors(light.radiance)),
         ("Standard deviation", "Of the logarithm of radiance. Dark: certain; yellow: may be "
          "several times brighter or darker.", deviation_colors(light)),
         ("Fraction determined", "Dark: by the photographs; yellow: by the prior, because no glossy "
          "part of the object mirrors that direction.", known_colors(light)),
     )  # fmt: skip
-    return [(name, sentence, embedded_png(colors)) for name, sentence, colors in maps]
+    return [(name, words, embedded_png(upright(colors, up))) for name, words, colors in maps]
 
 
 def _chequers(estimate: Estimate) -> np.ndarray:
