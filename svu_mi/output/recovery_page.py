@@ -69,14 +69,14 @@ def write_recovery_overview(
 
 def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> list[str]:
     width, height = recovery.texels.resolution
+    seen = is_seen(recovery if estimate is None else estimate)  # as in the terminal
     return [
         f"method {recovery.method}",
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {grouped(recovery.texels.count)} in charts",
-        f"{plain_percent(area_share(texel_areas(recovery), is_seen(recovery)))} "
-        "of the surface area seen",
+        f"{plain_percent(area_share(texel_areas(recovery), seen))} of the surface area seen",
         *([] if estimate is None else [f"preset {estimate.preset.name}"]),
-        f"difference: yellow from {WORST:g}",
+        f"difference: yellow from {WORST:g}, white unused",
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
     ]

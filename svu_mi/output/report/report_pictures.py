@@ -151,7 +151,8 @@ def texture_maps(
 def light_maps(light: LightEstimate, up: np.ndarray) -> list[tuple[str, str, PageImage]]:
     """Return names, sentences and pictures of estimated light, with ``up`` (3,) at the top."""
     maps = (
-        ("Radiance", "Lat-long map: up is at the top, azimuth 0 at the left.", light_colors(light.radiance)),
+        ("Radiance", "Lat-long map: up is at the top, azimuth 0 at the left.",
+         light_colors(light.radiance)),
         ("Standard deviation", "Of the logarithm of radiance. Dark: certain; yellow: may be "
          "several times brighter or darker.", deviation_colors(light)),
         ("Fraction determined", "Dark: by the photographs; yellow: by the prior, because no glossy "
