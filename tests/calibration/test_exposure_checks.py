@@ -276,6 +276,12 @@ def test_much_saturation_is_reported(vase, monkeypatch):
         assert saturated_share(used, small) == pytest.approx(part, abs=0.05)
         everything = replace(small, masks=(None,) * VIEWS)
         assert saturated_share(used, everything) == pytest.approx(part, abs=0.05)
+    gaps = np.random.default_rng(7719).random((96, 96, 1)) < 0.4  # of straightened photographs
+    images = (np.where(gaps, np.nan, vase.images[0]), *vase.images[1:])
+    small = reduce_photographs(replace(used, images=images), 48)
+    assert saturated_share(replace(used, images=images, clipped=(None,) * VIEWS), small) == (
+        pytest.approx(0.4, abs=0.06)
+    )
     (whole,) = [one for one in svu.check(used).findings if one.question == "saturation"]
     assert whole.verdict == "unclear"
     assert whole.sentence.endswith("photograph with a shorter exposure, or in HDR.")

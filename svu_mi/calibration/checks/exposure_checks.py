@@ -195,16 +195,15 @@ def saturated_share(capture: Capture, small: Capture) -> float:
     """Return the saturated or unusable part of the object's pixels; ``small``: reduced capture."""
     over, inside = 0, 0
     frames, views = Thumbnails.of(small), np.flatnonzero(capture.used)
-    parts = zip(views, silhouettes(frames), frames.masks, frames.radiance, strict=True)
-    for view, seen, mask, radiance in parts:
+    for view, seen, mask in zip(views, silhouettes(frames), frames.masks, strict=True):
         shown, saturation = seen if mask is None else seen & mask, capture.clipped[view]
         inside += shown.sum()
-        lost = ~np.isfinite(radiance).all(axis=2)
+        step = min(capture.images[view].shape[k] // shown.shape[k] for k in (0, 1))
+        middle = np.s_[step // 2 :: step, step // 2 :: step]
+        lost = ~np.isfinite(capture.images[view][middle]).all(axis=2)
         if saturation is not None:
-            step = min(saturation.channels.shape[k] // shown.shape[k] for k in (0, 1))
-            middle = saturation.channels[step // 2 :: step, step // 2 :: step]
-            lost |= middle[: len(shown), : shown.shape[1]] > 0
-        over += lost[shown].sum()
+            lost |= saturation.channels[middle] > 0
+        over += lost[: len(shown), : shown.shape[1]][shown].sum()
     return float(over / max(inside, 1))
 
 
