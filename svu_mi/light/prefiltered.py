@@ -108,7 +108,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         near = slice(max(i - reach, 0), i + reach + 1)
         cosine = np.sin(theta[i]) * np.sin(theta[near, None]) * turn
         cosine += np.cos(theta[i]) * np.cos(theta[near, None])
-        kernel = np.fft.hfft(profile(np.clip(cosine, -1, 1)), n=columns, axis=1)[:, : len(turn)]
+        kernel = _even_spectrum(profile(np.clip(cosine, -1, 1)), columns)
         if even:
             kernel /= kernel[:, 0] @ solid[near]
         summed = np.ascontiguousarray(kernel.T)[:, None] @ pairs[:, near]
@@ -117,6 +117,13 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     result = np.fft.irfft(summed_waves, n=columns, axis=1)
     # Rounding of the FFT, and lobes with negative parts, may cause negative values.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
+
+
+def _even_spectrum(half: np.ndarray, columns: int) -> np.ndarray:
+    """Return the spectra of rows that are even functions of the azimuth, given by one half."""
+    if columns % 2:
+        return np.fft.hfft(half, n=columns, axis=1)[:, : half.shape[1]]
+    return np.asarray(scipy.fft.dct(half, type=1, axis=1))
 
 
 def _coarsened(grid: np.ndarray, width: float) -> np.ndarray:
