@@ -129,19 +129,20 @@ class _DescentRun:
         step, optimizer = self.step, self._optimizer
         loss = self._objective({name: optimizer[name] for name in optimizer}, step)
         dr.backward(loss)
-        broken = dr.opaque(mi.UInt32, 0)
-        for value in optimizer.values():
-            gradient = value.grad.array
-            # Adam would keep a NaN in its means, so its first step could not be reported.
-            dr.scatter(broken, mi.UInt32(1), mi.UInt32(0), ~dr.isfinite(gradient))
+        # Adam would keep a NaN in its means, so its first step could not be reported. A flag for
+        # each gradient: Dr.Jit launches a kernel for each scatter to the same array.
+        broken = [dr.zeros(mi.UInt32, 1) for _ in optimizer.values()]
+        for flag, value in zip(broken, optimizer.values(), strict=True):
+            dr.scatter(flag, mi.UInt32(1), mi.UInt32(0), ~dr.isfinite(value.grad.array))
         # A Python number: Adam would multiply an array in place; it makes numbers opaque itself.
         now = rate(self._options, step)
         optimizer.set_learning_rate({n: now * self._options.scales.get(n, 1.0) for n in optimizer})
         optimizer.step(eval=False)
-        for name in optimizer:
-            optimizer[name] = self._project(optimizer[name])
-        seen = dr.detach(loss)
-        dr.eval(seen, broken, optimizer.state)
+        seen, projected = dr.detach(loss), {n: self._project(optimizer[n]) for n in optimizer}
+        # At once: assignments would evaluate one by one.
+        dr.eval(seen, broken, projected, [entry[3] for entry in optimizer.state.values()])
+        for name, value in projected.items():
+            optimizer[name] = value
         unread = (*self._unread, (seen, broken))
         self.step, self._state, self._unread = step + 1, dict(optimizer.state), unread
 
@@ -151,7 +152,7 @@ class _DescentRun:
         losses = []
         for step, (loss, broken) in enumerate(self._unread, first):
             losses.append(float(np.array(loss).ravel()[0]))
-            if broken[0] or not np.isfinite(losses[-1]):
+            if any(flag[0] for flag in broken) or not np.isfinite(losses[-1]):
                 what = "a gradient" if np.isfinite(losses[-1]) else "the loss"
                 raise SvuError(
                     f"Descent: {what} of step {step} is NaN or infinite; check the photographs for "
