@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from svu_mi.calibration.light.light_folder import load_light, save_light
     from svu_mi.calibration.light.light_options import LightOptions
     from svu_mi.calibration.light.resolve_light import with_light
+    from svu_mi.calibration.poses.refine_poses import RefinedPoses, refine_poses
     from svu_mi.capture.capture import Capture
     from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
     from svu_mi.capture.importers.registry import read_source
@@ -84,7 +85,9 @@ _HOME = {
     "FoundGains": "calibration.light.light_estimate", "estimate_gains": "calibration.exposure",
     "equalized": "calibration.exposure", "estimate_light": "calibration.light.estimate_light",
     "with_light": "calibration.light.resolve_light", "load_light": "calibration.light.light_folder",
-    "save_light": "calibration.light.light_folder", "Comparison": "output.compare.differences",
+    "save_light": "calibration.light.light_folder",
+    "RefinedPoses": "calibration.poses.refine_poses",
+    "refine_poses": "calibration.poses.refine_poses", "Comparison": "output.compare.differences",
     "compare": "output.compare.differences", "write_report": "output.report.report",
     "Reference": "evaluation.reference", "reference_posterior": "evaluation.traced_posterior",
     "Recovery": "recovery.recovery_result", "recover": "recovery.recover",
@@ -108,13 +111,13 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "DiffusionOptions", "Estimate", "ExportOptions", "Filled", "Fit", "FoundGains", "GlobalSharing",
     "Guidance", "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions",
     "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
-    "Reference", "RelitView", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels",
-    "TextureField", "TotalVariation", "angular_posterior", "calibrated_posterior", "check",
+    "Reference", "RefinedPoses", "RelitView", "ShOptions", "Skip", "SvuError", "SvuWarning",
+    "Texels", "TextureField", "TotalVariation", "angular_posterior", "calibrated_posterior", "check",
     "compare", "equalized", "estimate", "estimate_gains", "estimate_light", "export_asset", "fill",
     "fill_by_diffusion", "fit_sh", "import_capture", "load_asset", "load_capture",
     "load_light", "next_best_view", "power_spectrum", "preset", "read_source", "recover",
-    "reference_posterior", "relight_draws", "render_capture", "save_light", "spectrum_posterior",
-    "texels", "texture_field", "texture_parameters", "with_light", "write_report",
+    "reference_posterior", "refine_poses", "relight_draws", "render_capture", "save_light",
+    "spectrum_posterior", "texels", "texture_field", "texture_parameters", "with_light", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -53,6 +53,10 @@ def _variant_is_set() -> None:
 
     mi.set_variant(VARIANT)
 
+    from svu_mi.capture.scene import require_variant
+
+    require_variant()  # as every function for users: exact division on CUDA
+
 
 @pytest.fixture(scope="session", autouse=True)
 def _light_is_filtered_once() -> None:

@@ -30,6 +30,7 @@ from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
 from svu_mi.cli.matplotlib_setup import import_matplotlib
 from svu_mi.cli.recover import Recover
+from svu_mi.cli.refine import Refine
 from svu_mi.cli.relight import Relight
 from svu_mi.cli.render import Render
 from svu_mi.cli.report import Report
@@ -43,7 +44,10 @@ from svu_mi.errors import OptionError, SvuError, excerpt, printable
 # Commands in the order of ``svu --help``.
 GROUPS: dict[str, dict[str, Any]] = {
     "start": {"demo": Demo, "scenes": Scenes, "doctor": Doctor},
-    "capture": {"render": Render, "import": Import, "check": CheckCapture, "light": FindLight},
+    "capture": {
+        "render": Render, "import": Import, "check": CheckCapture, "refine": Refine,
+        "light": FindLight,
+    },
     "uncertainty": {"entropy": Entropy, "guide": Guide},
     "textures": {"recover": Recover, "inpaint": Inpaint, "relight": Relight},
     "results": {"report": Report, "view": View, "export": Export, "compare": Compare},

@@ -115,17 +115,20 @@ def interpolate(views: Views, pixels: list[Any], weights: list[Any], active: Any
 
 def mean_over_texel(
     views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any, *,
-    clipped: bool = False,
+    clipped: bool = False, moved: tuple[Any, Any] | None = None,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Return mean radiance and grey variance of the pixels under a texel.
 
     Unusable pixels are ignored; if all are unusable, the pixels at the centre of the texel are
     interpolated. A texel smaller than a pixel needs one bilinear look-up. ``clipped=True`` replaces
-    saturated channels by their lower bounds, and also returns their fraction (Color3f).
+    saturated channels by their lower bounds, and also returns their fraction (Color3f). ``moved``
+    are pixels to the right and down, by which the texel is moved.
     """
     if views.pixels is None:
         return black(), mi.Float(0), *([black()] if clipped else [])
     x, y, spans, steps = _cover(camera, position, sides)
+    if moved is not None:
+        x, y = x + moved[0], y + moved[1]
     columns, number = mi.UInt32(steps[1]), mi.UInt32(steps[0] * steps[1])
     number = dr.select(seen, number, 0)
 

@@ -78,7 +78,7 @@ def predict_samples(
     views, visibility, surface = observed.views, observed.visibility, model.surface
     order, channels = visibility.order, draws[0]["base_color"].shape[-1]
     count, slots = surface.count, int(dr.width(order))
-    packed = _packed(draws, model.levels)
+    packed = pack_values(draws, model.levels)
     table, width = to_drjit(mi.Float, packed.ravel()), packed.shape[-1]
     fold_of_view = to_drjit(mi.UInt32, folds.astype(np.uint32))
     lanes, stride = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, slots * count)
@@ -126,7 +126,7 @@ def predict_samples(
     return HeldOutSamples(of_slot, texel, fold, weight, shown, mean, np.sqrt(variance), white)
 
 
-def _packed(draws: Sequence[Values], levels: int) -> np.ndarray:
+def pack_values(draws: Sequence[Values], levels: int) -> np.ndarray:
     """Return colour, mixing parameters and spline weights of D draws, (F, t, D, width)."""
     rows = []
     for values in draws:

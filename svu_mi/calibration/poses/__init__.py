@@ -1,0 +1,1 @@
+"""Poses: cameras moved so that outlines and textures agree with the photographs."""
