@@ -112,12 +112,13 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "Guidance", "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions",
     "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
     "Reference", "RefinedPoses", "RelitView", "ShOptions", "Skip", "SvuError", "SvuWarning",
-    "Texels", "TextureField", "TotalVariation", "angular_posterior", "calibrated_posterior", "check",
-    "compare", "equalized", "estimate", "estimate_gains", "estimate_light", "export_asset", "fill",
-    "fill_by_diffusion", "fit_sh", "import_capture", "load_asset", "load_capture",
+    "Texels", "TextureField", "TotalVariation", "angular_posterior", "calibrated_posterior",
+    "check", "compare", "equalized", "estimate", "estimate_gains", "estimate_light", "export_asset",
+    "fill", "fill_by_diffusion", "fit_sh", "import_capture", "load_asset", "load_capture",
     "load_light", "next_best_view", "power_spectrum", "preset", "read_source", "recover",
     "reference_posterior", "refine_poses", "relight_draws", "render_capture", "save_light",
-    "spectrum_posterior", "texels", "texture_field", "texture_parameters", "with_light", "write_report",
+    "spectrum_posterior", "texels", "texture_field", "texture_parameters", "with_light",
+    "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

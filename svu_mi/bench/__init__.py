@@ -15,6 +15,7 @@ BENCHMARKS = {
     "orb": "Stanford-ORB (--data), by the rules of the data set",
     "paper": "Tables 2 and 3 and Figure 9 of the paper",
     "paths": "accuracy with indirect light and with other noise",
+    "poses": "textures with wrong and with refined camera poses",
     "real": "held-out photographs of a real CAPTURE, predicted from the others",
     "recovery": "textures of all recovery methods, compared with the true ones",
     "reflected": "textures under light of tables, of the object itself, and of lamps",

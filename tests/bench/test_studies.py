@@ -15,6 +15,7 @@ from svu_mi.bench import (
     paper,
     paths,
     plain_balls,
+    poses,
     posterior_scores,
     reflected,
     scaling,
@@ -32,6 +33,7 @@ from svu_mi.bench.scaling import line, repeated
 from svu_mi.bench.speed import run_from_files, timed_kernels
 from svu_mi.bench.study import Selection, study_of
 from svu_mi.bench.timing import in_new_process, run, spread
+from svu_mi.calibration.poses import refine_poses
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.evaluation.ground_truth import ground_truth
@@ -62,6 +64,8 @@ TINY = {
     scaling: {"QUICK": scaling.ScalingSizes(
         resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
     paths: {"QUICK": (12, 2, 1)},
+    poses: {"QUICK": {"views": 8, "film": 32, "spp": 2}, "QUICK_TEXELS": 16},
+    refine_poses: {"OUTLINES": 1, "COARSE": ((16, 1.0),), "FINE": ((16, 0.5),)},
     reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12},
     verdict: {"QUICK": {"views": 16, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
@@ -75,7 +79,8 @@ TINY = {
 @pytest.mark.parametrize(
     ("name", "cases", "rows"),
     [("calibration", 2, 9), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
-     ("reflected", 1, 7),      ("scaling", 1, 4), ("sureness", 1, 5), ("verdict", 1, 4)],
+     ("poses", 1, 5), ("reflected", 1, 7), ("scaling", 1, 4), ("sureness", 1, 5),
+     ("verdict", 1, 4)],
 )  # fmt: skip
 def test_a_study_measures_every_row(name, cases, rows, tmp_path, monkeypatch):
     for module, changes in TINY.items():

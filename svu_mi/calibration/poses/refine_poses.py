@@ -81,7 +81,7 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
     require_variant()
     require_light(capture)
     progress = progress or Progress()
-    distances, rounds = _distances(capture), _rounds(capture)
+    distances, rounds = camera_distances(capture), _rounds(capture)
     motion, widths, current, before = np.zeros((len(distances), 6)), WIDEST, capture, np.nan
     with progress.stage("Refining poses", len(rounds)) as stage:
         for number, fine in enumerate(rounds):
@@ -94,11 +94,11 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
             stage.update(number + 1, len(rounds))
         after = _rms(outline_equations(current, distances)[1])
     return RefinedPoses(
-        capture=current, moved=_moved_pixels(capture, current), outlines=(before, after)
+        capture=current, moved=moved_pixels(capture, current), outlines=(before, after)
     )
 
 
-def _distances(capture: Capture) -> np.ndarray:
+def camera_distances(capture: Capture) -> np.ndarray:
     """Return the distances of used cameras from the object, (V,); raise for too few cameras."""
     sensors, (center, _) = capture.used_sensors, bounding_sphere(capture.shape)
     if len(sensors) < FEWEST:
@@ -135,7 +135,7 @@ def _with_motion(capture: Capture, motion: np.ndarray, distances: np.ndarray) ->
     return replace(capture, sensors=tuple(sensors))
 
 
-def _moved_pixels(before: Capture, after: Capture) -> np.ndarray:
+def moved_pixels(before: Capture, after: Capture) -> np.ndarray:
     """Return the rms motion of vertices in each used photograph, (V,) pixels."""
     positions = arrays(before.shape).positions
     points = positions[evenly_spaced(len(positions), POINTS)]
