@@ -36,6 +36,10 @@ class RefinedPoses:
         moved: (V,), rms motion of the object in each used photograph, in pixels.
         outlines: rms distance between the outlines of masks and mesh before and after, in pixels;
             NaN without masks.
+
+    Example:
+        >>> print(svu.refine_poses(capture).sentence())
+        Cameras were off by 1.6 pixels (rms; at most 3.5); outlines by 1.1 before, 0.27 pixels after.
     """
 
     capture: Capture
