@@ -39,7 +39,7 @@ class RefinedPoses:
 
     Example:
         >>> print(svu.refine_poses(capture).sentence())
-        Cameras were off by 1.6 pixels (rms; at most 3.5); outlines by 1.1 before, 0.27 pixels after.
+        Cameras were off by 1.6 pixels (rms; at most 3.5); outlines by 1.1 before, 0.3 pixels after.
     """
 
     capture: Capture
