@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from svu_mi.bench import spoiled_captures as spoiled
 from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.correlation import pearson, spearman
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, digits, table, tabulate
 from svu_mi.bench.plain_balls import BallCase
@@ -32,7 +33,6 @@ from svu_mi.bench.study import Selection, Study
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
-from svu_mi.evaluation.correlation import pearson, spearman
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate

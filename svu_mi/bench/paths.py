@@ -11,11 +11,11 @@ import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.compared_estimators import Variant
+from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
-from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
 
 DEPTH = 4  # path length of the reference with indirect light

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.correlation import pearson, sparsification, spearman
+from svu_mi.bench.credible_sets import credible_coverage, nearest_bins
 from svu_mi.core.arrays import evenly_spaced
-from svu_mi.evaluation.correlation import pearson, sparsification, spearman
-from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
 from svu_mi.parameters import NAMES
 
 JUDGED = 1500  # compared texels

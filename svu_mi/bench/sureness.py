@@ -27,6 +27,7 @@ from svu_mi.bench.captures import (
     uneven_views,
 )
 from svu_mi.bench.cases import Case, chosen_cases
+from svu_mi.bench.correlation import spearman
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar, Column, digits, seconds, tabulate
 from svu_mi.bench.study import Selection, Study
@@ -34,7 +35,6 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import SensorPixels
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.target import find_target
-from svu_mi.evaluation.correlation import spearman
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.observations import observe

@@ -19,6 +19,7 @@ from svu_mi import scenes
 from svu_mi.bench.cases import own_cases
 from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.real import find_bars
+from svu_mi.bench.real.posterior_predictive import Prediction, diffuse_seen_from
 from svu_mi.bench.real.predictors import PREDICTORS, PredictedView, Score, fitted_gain, r_squared
 from svu_mi.bench.study import Selection, run_bench
 from svu_mi.calibration.light import resolve_light
@@ -27,7 +28,6 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
-from svu_mi.evaluation.posterior_predictive import Prediction, diffuse_seen_from
 from svu_mi.presets import preset
 from svu_mi.reflection.roughness_levels import level_shares, spline_weights
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from support.helpers import ball_scene, memory_capture
 
-from svu_mi.capture.rendering import render_capture
-from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.errors import OptionError, SceneError, ShapeError
-from svu_mi.evaluation.correlation import (
+from svu_mi.bench.correlation import (
     Interval,
     mean_over_objects,
     pearson,
     sparsification,
     spearman,
 )
-from svu_mi.evaluation.credible_sets import credible_coverage, nearest_bins
+from svu_mi.bench.credible_sets import credible_coverage, nearest_bins
+from svu_mi.capture.rendering import render_capture
+from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.errors import OptionError, SceneError, ShapeError
 from svu_mi.evaluation.ground_truth import error_summary, ground_truth
 from svu_mi.evaluation.image_metrics import (
     CEILING_DB,

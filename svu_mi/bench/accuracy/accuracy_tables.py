@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.bench.correlation import mean_over_objects
 from svu_mi.bench.experiment import Record
 from svu_mi.bench.markdown import (
     COLORS,
@@ -23,7 +24,6 @@ from svu_mi.bench.markdown import (
     tidy,
     time_axis,
 )
-from svu_mi.evaluation.correlation import mean_over_objects
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,11 +22,11 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.bench.captures import uneven_views
+from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.markdown import Column, digits, table, tabulate
 from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, RecoveryMethod
 from svu_mi.capture.capture import Capture
-from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.pipeline import estimate
 

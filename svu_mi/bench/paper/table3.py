@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import CaseSubject, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
-from svu_mi.evaluation.correlation import pearson
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.tabulated import tabulated_posterior

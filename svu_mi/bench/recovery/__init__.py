@@ -12,6 +12,7 @@ import numpy as np
 
 from svu_mi.bench.captures import TrueTextures, even_views
 from svu_mi.bench.cases import Case, chosen_cases
+from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.recovery.methods import RecoveryMethod, choose_methods
@@ -24,7 +25,6 @@ from svu_mi.capture.scene import load_scene
 from svu_mi.capture.target import find_target
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.evaluation.correlation import pearson
 from svu_mi.evaluation.image_metrics import image_error
 from svu_mi.geometry.texels import Texels
 from svu_mi.pipeline import estimate

@@ -16,6 +16,7 @@ from svu_mi.bench.accuracy import reference_of
 from svu_mi.bench.captures import even_views
 from svu_mi.bench.cases import Case
 from svu_mi.bench.compared_estimators import VARIANTS, Variant
+from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Bar
 from svu_mi.bench.speed.speed_tables import scaling, speed_tables
@@ -32,7 +33,6 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.loading import load_capture
 from svu_mi.core.memory import Need, Sizes
 from svu_mi.core.progress import Progress
-from svu_mi.evaluation.correlation import pearson
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.output.maps import write_maps
 from svu_mi.pipeline import estimate
