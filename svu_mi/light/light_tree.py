@@ -95,8 +95,8 @@ class _Cluster:
         own = points[members]
         offset = own - w @ own / w.sum()
         covariance = (offset.T * w) @ offset
-        variance = float(np.trace(covariance)) if len(members) > 1 else 0.0
-        return _Cluster(number, members, offset, covariance, variance)
+        x, y, z = covariance.diagonal().tolist()
+        return _Cluster(number, members, offset, covariance, x + y + z if len(own) > 1 else 0.0)
 
     def __lt__(self, other: _Cluster) -> bool:
         return self.variance > other.variance
@@ -105,7 +105,7 @@ class _Cluster:
         """Return flags of members beyond the mean along the principal axis."""
         far = self.offset @ np.linalg.eigh(self.covariance)[1][:, -1] > 0
         # Identical points would all be on one side.
-        return far if far.any() and not far.all() else np.arange(len(far)) > 0
+        return far if 0 < np.count_nonzero(far) < len(far) else np.arange(len(far)) > 0
 
 
 def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightTree:
