@@ -161,18 +161,29 @@ class Statistics:
         Texel g t + k of this is texel k in the views of group g alone.
         """
 
-        def combined(values: np.ndarray) -> np.ndarray:
-            of_groups = values.reshape(-1, groups, self.count // groups)
-            total = of_groups.sum(axis=1, keepdims=True)
-            without = np.concatenate([total, total - of_groups], axis=1)
-            return np.asarray(without.reshape(len(of_groups), -1))
+        count, total = self.count // groups, self.counts.numpy().reshape(groups, -1)
+        counts = np.concatenate([total.sum(axis=0)[None], total.sum(axis=0) - total])
+        sums = blocks.empty_blocks(mi.Float64, self.rows, counts.size)
+        texels, rows, end = (dr.opaque(mi.UInt32, n) for n in (count, self.rows, groups))
+        lane = dr.arange(mi.UInt32, counts.size)
+        without = lane // texels
+        place, first = lane - without * texels, blocks.texel_offset(lane, rows)
 
-        sums = combined(blocks.from_blocks(self.sums, self.rows, self.count))
-        return replace(
-            self, sums=blocks.to_blocks(mi.Float64, sums),
-            counts=to_drjit(mi.Float, combined(self.counts.numpy())[0]),
-            texel=dr.arange(mi.UInt32, sums.shape[1]),
-        )  # fmt: skip
+        def write(row: Any) -> Any:
+            def add(group: Any, total: Any) -> tuple[Any, Any]:
+                source = blocks.texel_offset(place + group * texels, rows) + row * blocks.BLOCK
+                held = group + 1 != without
+                return group + 1, total + dr.gather(mi.Float64, self.sums, source, held)
+
+            start = mi.UInt32(0), dr.zeros(mi.Float64, counts.size)
+            value = dr.while_loop(start, lambda group, _: group < end, add)[1]
+            dr.scatter(sums, value, first + row * blocks.BLOCK, mode=dr.ReduceMode.NoConflicts)
+            return (row + 1,)
+
+        dr.while_loop((mi.UInt32(0),), lambda row: row < rows, write)
+        dr.eval(sums)
+        counts = to_drjit(mi.Float, counts.ravel())
+        return replace(self, sums=sums, counts=counts, texel=lane)
 
     def subset(self, lanes: np.ndarray) -> Statistics:
         """Return the statistics of the texels in ``lanes``, indices in [0, S)."""
