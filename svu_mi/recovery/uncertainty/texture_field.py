@@ -59,7 +59,7 @@ from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 # rho, correlated fraction of the variance of a seen texel. Metallic (MIXED) is fully correlated:
 # an ambiguity between metal and paint affects a whole neighbourhood.
 COMMON, COMMON_MIXED = 0.5, 1.0
-DISAGREEMENT = 2.4  # a
+DISAGREEMENT, DISAGREEMENT_MIXED = 1.2, 2.4  # a
 NARROW = 0.1  # d, relative to the median of K's diagonal
 LENGTH = 0.1  # correlation length of g, relative to the object's extent
 INTERVAL_MASS = 0.9
@@ -196,7 +196,8 @@ class TextureField:
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own_mean))
         if self.texels.count > TILE:
             dr.flush_malloc_cache()  # free the temporary memory of the solver
-        return np.sqrt(left**2 + DISAGREEMENT * np.maximum(apart, 0) ** 2)
+        a = _by_row(DISAGREEMENT, DISAGREEMENT_MIXED)
+        return np.sqrt(left**2 + a * np.maximum(apart, 0) ** 2)
 
     @cached_property
     def sds(self) -> np.ndarray:
@@ -343,10 +344,15 @@ def field_around(
 
 def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
     """Return rho, the correlated share of the variance, (N, T)."""
-    parts = np.concatenate([
-        np.full(CHANNELS[name], COMMON_MIXED if name in MIXED else COMMON) for name in NAMES
+    parts = _by_row(COMMON, COMMON_MIXED)
+    return np.where(posterior.observed, parts, 1.0).astype(np.float32)
+
+
+def _by_row(value: float, mixed: float) -> np.ndarray:
+    """Return ``mixed`` for mixing parameters and ``value`` for others, (N, 1)."""
+    return np.concatenate([
+        np.full((CHANNELS[name], 1), mixed if name in MIXED else value) for name in NAMES
     ])  # fmt: skip
-    return np.where(posterior.observed, parts[:, None], 1.0).astype(np.float32)
 
 
 def _texel_moments(
