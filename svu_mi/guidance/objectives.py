@@ -204,9 +204,8 @@ class Colors:
             mass, bins = channel.integrate_masses(edges)
             integrals = replace(integrals, mass=mass, bins=bins)
         elif least > FULL_SUPPORT:
-            _, integrals = channel.integrate_full_support(edges, density)  # omitted likewise
-            log_mass, masses = channel.weighted_masses(edges, density)
-            mass, integrals = dr.exp(log_mass), replace(integrals, bins=masses.bins)
+            log_mass, integrals = channel.integrate_full_support(edges, density)
+            mass = dr.exp(log_mass)
         else:
             log_mass, integrals = channel.integrate_with_prior(edges, density)
             mass = dr.exp(log_mass)

@@ -271,8 +271,7 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
     # Lanes of a packet share a roughness bin, so they skip nearly the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
     texel, bin_index = launch % number, launch // number
-    lane = dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel)
-    integrator = NodeIntegrator(problem, lane, problem.edges)
+    integrator = NodeIntegrator(problem, dr.gather(mi.UInt32, to_drjit(mi.UInt32, chosen), texel))
 
     def visit(node: Node, masses: BinMasses) -> tuple[BinMasses]:
         masses.add(problem, node)
@@ -302,7 +301,7 @@ def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> An
         masses[k] = masses[k] + node.weight
         return (masses,)
 
-    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), problem.edges)
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen))
     (masses,) = integrator.fold_all(visit, (zeroed_memory(number)[0],))
     return _to_blocks(masses, number, len(chosen))
 
@@ -342,7 +341,7 @@ def draw(
     node, one for each shared parameter, and two for each channel. One pass over the nodes finds
     those of all draws. ``total`` is the mass of each texel. Returns (count * t,) Floats.
     """
-    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes), problem.edges)
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, lanes))
     nodes, columns = problem.nodes, dr.opaque(mi.UInt32, problem.mixed.count)
     targets = [to_drjit(mi.Float, first) * total for first in random[0]]
 

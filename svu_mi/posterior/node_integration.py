@@ -42,7 +42,7 @@ class Node:
 class NodeIntegrator:
     """Integrator over the nodes of texels ``lane`` (UInt32, default: all S).
 
-    ``edges`` are the edges of base colour bins (default: the grid's); other edges give no moments.
+    ``edges`` are the edges of base colour bins (default: the grid's).
     ``only``, UInt32, selects the channel to integrate in each texel, which requires a uniform prior
     (default: all channels).
     """
@@ -55,7 +55,6 @@ class NodeIntegrator:
         everything = dr.arange(mi.UInt32, problem.factors.count)
         self.lane = everything if lane is None else lane
         self.edges = problem.edges if edges is None else edges
-        self._masses_only = edges is not None
         self._reader = problem.factors.reader(self.lane)
         self._scale = dr.gather(mi.Float, problem.scale, self.lane)
         self._min_energy = dr.gather(mi.Float, problem.min_energy, self.lane)
@@ -192,8 +191,6 @@ class NodeIntegrator:
         integrate = ChannelLikelihood.integrate_with_prior
         if self.problem.has_full_support:
             integrate = ChannelLikelihood.integrate_full_support
-            if self._masses_only:
-                integrate = ChannelLikelihood.weighted_masses
         colors = [integrate(ChannelLikelihood(*c), edges, g)
                   for c, g in zip(parts, density, strict=True)]  # fmt: skip
         log_masses, integrals = zip(*colors, strict=True)
