@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.cases import Case
+from svu_mi.bench.image_metrics import texel_error, texture_psnr
 from svu_mi.bench.problem_sizes import ProblemSizes
 from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.capture import capture_folder
@@ -23,7 +24,6 @@ from svu_mi.core.io.provenance import is_as_written
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.ground_truth import ground_truth
-from svu_mi.evaluation.image_metrics import texel_error, texture_psnr
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.svbrdf_textures import Textures

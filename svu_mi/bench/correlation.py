@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import scipy
 
+from svu_mi.bench.metric_inputs import finite_vector, two_vectors
 from svu_mi.errors import OptionError
-from svu_mi.evaluation.metric_inputs import finite_vector, two_vectors
 
 MIN_OBJECTS = 3
 CONFIDENCE = 0.95  # level of the bootstrap interval

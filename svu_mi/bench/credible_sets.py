@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.metric_inputs import finite_vector
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.evaluation.metric_inputs import finite_vector, require_finite
+from svu_mi.evaluation.psnr import require_finite
 
 TIE = 1e-6  # relative difference below which two float32 probabilities are equal
 

@@ -24,7 +24,7 @@ from svu_mi.calibration.light.light_summary import blurred, compare_lights
 from svu_mi.calibration.light.resolve_light import with_light
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import fibonacci
-from svu_mi.evaluation.image_metrics import psnr
+from svu_mi.evaluation.psnr import psnr
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES

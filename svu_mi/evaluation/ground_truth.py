@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.core.validation import require_known
-from svu_mi.evaluation.metric_inputs import two_vectors
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import MIXED, NAMES, ByParameter
@@ -42,29 +38,3 @@ def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
         texels: T texels of ``capture.mesh``.
     """
     return GroundTruth(**parameters_at(capture, texels))
-
-
-@dataclass(frozen=True)
-class ErrorSummary:
-    """Errors, estimate minus truth, in the unit of the parameter.
-
-    Attributes:
-        bias: Mean signed error; positive if the estimate is too large.
-        mae: Mean absolute error.
-        rmse: Root mean square error.
-    """
-
-    bias: float
-    mae: float
-    rmse: float
-
-
-def error_summary(estimate: Any, truth: Any) -> ErrorSummary:
-    """Return bias, MAE and RMSE of (n,) estimates."""
-    estimated, true = two_vectors(estimate=estimate, truth=truth)
-    error = estimated - true
-    return ErrorSummary(
-        bias=float(error.mean()),
-        mae=float(np.abs(error).mean()),
-        rmse=float(np.sqrt((error * error).mean())),
-    )

@@ -26,7 +26,7 @@ from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER
 from svu_mi.bench.recovery.recovery_tables import find_bars
 from svu_mi.bench.study import Selection, read_record, run_bench, study_of
 from svu_mi.capture.sensors import bounding_sphere, directions_of
-from svu_mi.evaluation.image_metrics import CEILING_DB
+from svu_mi.evaluation.psnr import CEILING_DB
 from svu_mi.geometry.texels import texels
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.svbrdf_textures import lay_out, uniform_textures

@@ -18,7 +18,7 @@ import svu_mi as svu
 from svu_mi.capture.image_io import srgb
 from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.sensors import describe, make_sensor
-from svu_mi.evaluation.image_metrics import psnr
+from svu_mi.evaluation.psnr import psnr
 from svu_mi.output.texture_files import MESH
 
 SPP = 16

@@ -23,7 +23,7 @@ from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.sensors import describe, make_sensor, sphere_sensors
 from svu_mi.core.io.exr import read_exr, read_header, write_exr
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
-from svu_mi.evaluation.image_metrics import psnr
+from svu_mi.evaluation.psnr import psnr
 from svu_mi.light.environment import read_environment
 from svu_mi.output.rerender import RenderComparison, compare_renders, write_relit
 from svu_mi.output.texture_files import read_textures, write_textures

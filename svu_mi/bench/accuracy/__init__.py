@@ -20,12 +20,13 @@ from svu_mi.bench.accuracy.accuracy_tables import (
 from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.correlation import pearson, sparsification, spearman
 from svu_mi.bench.credible_sets import credible_coverage, nearest_bins
+from svu_mi.bench.error_summary import error_summary
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.study import Selection, Study
 from svu_mi.bench.timing import Timed, time_warm
 from svu_mi.capture.capture import Capture
 from svu_mi.errors import ShapeError
-from svu_mi.evaluation.ground_truth import GroundTruth, error_summary, ground_truth
+from svu_mi.evaluation.ground_truth import GroundTruth, ground_truth
 from svu_mi.evaluation.traced_posterior import reference_posterior
 from svu_mi.geometry.texels import Texels
 

@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_erosion
 
+from svu_mi.bench.image_metrics import ssim_map
+from svu_mi.bench.metric_inputs import two_pictures
 from svu_mi.capture.image_io import srgb
 from svu_mi.errors import SvuWarning
-from svu_mi.evaluation.image_metrics import psnr, ssim_map
-from svu_mi.evaluation.metric_inputs import two_pictures
+from svu_mi.evaluation.psnr import psnr
 
 ERODED = 5  # side in pixels of the square that erodes the mask
 HDR_LIMIT = 4.0  # clipping value of normalised radiance

@@ -17,9 +17,10 @@ import numpy as np
 import scipy
 
 from svu_mi.bench.experiment import Record
+from svu_mi.bench.image_metrics import WHITE
 from svu_mi.bench.real.posterior_predictive import Prediction, diffuse_seen_from
 from svu_mi.capture.image_io import srgb
-from svu_mi.evaluation.image_metrics import WHITE, psnr
+from svu_mi.evaluation.psnr import psnr
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.residuals import compressed
 

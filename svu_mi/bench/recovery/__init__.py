@@ -14,6 +14,7 @@ from svu_mi.bench.captures import TrueTextures, even_views
 from svu_mi.bench.cases import Case, chosen_cases
 from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
+from svu_mi.bench.image_metrics import image_error
 from svu_mi.bench.problem_sizes import RecoverySizes
 from svu_mi.bench.recovery.methods import RecoveryMethod, choose_methods
 from svu_mi.bench.recovery.recovery_tables import draw_recovery, find_bars, recovery_tables
@@ -25,7 +26,6 @@ from svu_mi.capture.scene import load_scene
 from svu_mi.capture.target import find_target
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.evaluation.image_metrics import image_error
 from svu_mi.geometry.texels import Texels
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.relighting import relight

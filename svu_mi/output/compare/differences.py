@@ -18,7 +18,7 @@ from svu_mi.capture.loading import plan_capture
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_texels
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.evaluation.image_metrics import psnr
+from svu_mi.evaluation.psnr import psnr
 from svu_mi.geometry.texels import size_of, texels
 from svu_mi.output.estimate_arrays import label_of
 from svu_mi.output.interval_summary import area_share, plain_percent, weighted_median

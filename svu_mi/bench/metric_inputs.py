@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import ShapeError
+from svu_mi.evaluation.psnr import require_finite
 
 
 def finite_vector(values: Any, name: str, count: int | None = None) -> np.ndarray:
@@ -44,10 +45,3 @@ def two_pictures(picture: Any, truth: Any, mask: np.ndarray) -> tuple[np.ndarray
     require_finite(a[mask], "the picture")
     require_finite(b[mask], "the true picture")
     return a, b
-
-
-def require_finite(values: np.ndarray, name: str) -> None:
-    """Raise an error if values contain NaN or infinity."""
-    bad = np.count_nonzero(~np.isfinite(values))
-    if bad:
-        raise OptionError(f"{name} has {bad} values that are NaN or infinite; remove those texels.")
