@@ -15,18 +15,12 @@ from svu_mi.bench.correlation import (
 )
 from svu_mi.bench.credible_sets import credible_coverage, nearest_bins
 from svu_mi.bench.error_summary import error_summary
-from svu_mi.bench.image_metrics import (
-    CEILING_DB,
-    image_error,
-    psnr,
-    ssim_map,
-    texel_error,
-    texture_psnr,
-)
+from svu_mi.bench.image_metrics import image_error, ssim_map, texel_error, texture_psnr
 from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.errors import OptionError, SceneError, ShapeError
 from svu_mi.evaluation.ground_truth import ground_truth
+from svu_mi.evaluation.psnr import CEILING_DB, psnr
 from svu_mi.geometry.texels import texels
 from svu_mi.scenes import path
 
