@@ -40,7 +40,8 @@ MOST = 120  # largest number of thumbnails, worst first
 ROWS = 8  # largest number of hypotheses in a table
 LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
-    "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
+    "poses": "Cameras and mesh", "cameras": "Accuracy of the poses", "light": "Environment map",
+    "texture": "Texture coordinates",
     "gain": "Gain of the photographs", "saturation": "Saturated pixels",
     "sources": "Sources of the light", "ignored": "Ignored effects",
     "number": "Number of photographs",

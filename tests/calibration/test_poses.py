@@ -19,6 +19,7 @@ from svu_mi.calibration.poses.pose_equations import (
     moved_sensor,
     pixel_derivatives,
 )
+from svu_mi.calibration.poses.refine_poses import outline_note
 from svu_mi.calibration.poses.texture_errors import SWITCHES, gradient_samples, texture_equations
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
@@ -147,6 +148,17 @@ def test_textures_alone_bring_a_camera_back(sound):
     alone = [replace(capture, sensors=(capture.sensors[5],))
              for capture in (sound, wrong, replace(sound, sensors=tuple(moved)))]  # fmt: skip
     assert off(alone[2], alone[0]) < 0.6 * off(alone[1], alone[0])
+
+
+def test_check_notes_cameras_that_are_off(sound):
+    assert outline_note(sound) is None
+    assert outline_note(replace(sound, masks=(None,) * 16)) is None
+    note = outline_note(shaken(sound, 0.4))
+    assert "Try svu refine" in note
+    pixels = float(note.partition(" pixels")[0].split()[-1])
+    assert pixels == pytest.approx(off(shaken(sound, 0.4), sound), rel=0.2)
+    findings = [one for one in svu.check(shaken(sound, 0.4)).findings if one.question == "cameras"]
+    assert [one.sentence for one in findings] == [note]
 
 
 def test_a_copy_of_the_capture_has_the_new_poses(shot, tmp_path, capsys):

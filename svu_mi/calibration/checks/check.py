@@ -33,6 +33,7 @@ from svu_mi.calibration.checks.surface_samples import (
 from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.calibration.light.light_summary import gain_sentences
+from svu_mi.calibration.poses.refine_poses import outline_note
 from svu_mi.capture import capture_folder
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.importers.axis_fixes import find_fixes, fix_rotation
@@ -105,7 +106,8 @@ def check(
     if axial[1].verdict == "fits" and _may_stand_on_something(capture):
         with progress.stage("Testing light from below"):
             sources = _missing(small, exposure_checks.unit_of(capture, small)) or sources
-    findings = (*axial, gain, *_too_few(capture), *over, *sources, *_ignored(capture))
+    cameras = () if _axes_are_off(axial) else _cameras(capture)
+    findings = (*axial, *cameras, gain, *_too_few(capture), *over, *sources, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
@@ -256,6 +258,12 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
         reflections = exposure_checks.Reflections.of(small.scene, points, sightings, light)
         gains = exposure_checks.relative_gains(reflections)
     return decisions.decide_gains(excess, gains, names)
+
+
+def _cameras(capture: Capture) -> tuple[Finding, ...]:
+    """Return a note if masks show that cameras are slightly off, or an empty tuple."""
+    note = outline_note(capture)
+    return () if note is None else (Finding(question="cameras", verdict="note", sentence=note),)
 
 
 def _too_few(capture: Capture) -> tuple[Finding, ...]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 Question = Literal[
-    "number", "poses", "light", "texture", "gain", "saturation", "sources", "ignored"
+    "number", "poses", "cameras", "light", "texture", "gain", "saturation", "sources", "ignored"
 ]  # fmt: skip
 Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
@@ -37,8 +37,9 @@ class Finding:
 
     Attributes:
         question: Tested part: ``number`` (of the photographs), ``poses`` (cameras and mesh),
-            ``light``, ``texture``, ``gain`` (of the photographs), ``saturation``, ``sources`` (of
-            the light) or ``ignored`` (unsupported parts of the scene).
+            ``cameras`` (small errors of their poses), ``light``, ``texture``, ``gain`` (of the
+            photographs), ``saturation``, ``sources`` (of the light) or ``ignored`` (unsupported
+            parts of the scene).
         verdict: ``fits``; ``wrong`` (corrected by ``fixes``); ``unclear`` (probably wrong, with
             several possible causes or no known cause); ``unknown`` (not determined by the
             photographs); ``note`` (information only).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,7 @@ FINE = ((128, 0.5), (128, 0.5))
 LAST = 2  # solutions of the last equations, in which widths converge
 POINTS = 1000  # vertices whose motion in pixels is measured
 FEWEST = 3  # cameras
+NOTED, CLOSER = 0.3, 0.9  # least motion [pixels] and largest ratio of distances of a note
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,19 +85,41 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
     """
     require_variant()
     require_light(capture)
-    progress = progress or Progress()
-    distances, rounds = camera_distances(capture), _rounds(capture)
+    rounds = _rounds(capture)
+    with (progress or Progress()).stage("Refining poses", len(rounds)) as stage:
+        return _refined(capture, rounds, stage.update)
+
+
+def outline_note(capture: Capture) -> str | None:
+    """Return a sentence if outlines show that cameras are off; None if not, or without masks."""
+    rounds = [one for one in _rounds(capture) if one is None]
+    if not rounds or len(capture.used_sensors) < FEWEST:
+        return None
+    refined = _refined(capture, rounds, lambda *_: None)
+    before, after = refined.outlines
+    if refined.pixels < NOTED or after > CLOSER * before:
+        return None
+    return (
+        f"Cameras seem to be off by {refined.pixels:.2g} pixels: outlines of masks and mesh are "
+        f"{before:.2g} pixels apart, and {after:.2g} with moved cameras. Try svu refine."
+    )
+
+
+def _refined(
+    capture: Capture, rounds: Sequence[Round | None], report: Callable[[int, int], None]
+) -> RefinedPoses:
+    """Solve one set of equations in each round."""
+    distances = camera_distances(capture)
     motion, widths, current, before = np.zeros((len(distances), 6)), WIDEST, capture, np.nan
-    with progress.stage("Refining poses", len(rounds)) as stage:
-        for number, fine in enumerate(rounds):
-            equations, off = outline_equations(current, distances)
-            before = _rms(off) if number == 0 else before
-            if fine is not None:
-                equations = equations + texture_equations(current, fine[0], fine[1], distances)
-            motion, widths = _solved(equations, motion, widths, last=number + 1 == len(rounds))
-            current = _with_motion(capture, motion, distances)
-            stage.update(number + 1, len(rounds))
-        after = _rms(outline_equations(current, distances)[1])
+    for number, fine in enumerate(rounds):
+        equations, off = outline_equations(current, distances)
+        before = _rms(off) if number == 0 else before
+        if fine is not None:
+            equations = equations + texture_equations(current, fine[0], fine[1], distances)
+        motion, widths = _solved(equations, motion, widths, last=number + 1 == len(rounds))
+        current = _with_motion(capture, motion, distances)
+        report(number + 1, len(rounds))
+    after = _rms(outline_equations(current, distances)[1])
     return RefinedPoses(
         capture=current, moved=moved_pixels(capture, current), outlines=(before, after)
     )
