@@ -17,6 +17,8 @@ from svu_mi.capture.sensors import bounding_sphere, projected
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
+from svu_mi.geometry.texels import texels
+from svu_mi.pipeline import estimate
 
 Round = tuple[int, float]
 
@@ -38,6 +40,8 @@ class RefinedPoses:
         moved: (V,), rms motion of the object in each used photograph, in pixels.
         outlines: rms distance between the outlines of masks and mesh before and after, in pixels;
             NaN without masks.
+        r2: R^2 of held-out photographs before and after; NaN with fewer than 12 photographs. If it
+            decreases, cameras are not moved.
 
     Example:
         >>> refined = svu.refine_poses(capture)
@@ -48,6 +52,12 @@ class RefinedPoses:
     capture: Capture
     moved: np.ndarray
     outlines: tuple[float, float]
+    r2: tuple[float, float] = (np.nan, np.nan)
+
+    @property
+    def is_worse(self) -> bool:
+        """Return whether held-out photographs are predicted worse."""
+        return self.r2[1] < self.r2[0]
 
     @property
     def pixels(self) -> float:
@@ -55,13 +65,19 @@ class RefinedPoses:
         return float(np.sqrt(np.mean(np.square(self.moved))))
 
     def sentence(self) -> str:
-        """Return a sentence with the motion, and outlines if there are masks."""
-        most = self.moved.max()
-        moved = f"Cameras were off by {self.pixels:.2g} pixels (rms; at most {most:.2g})"
-        before, after = self.outlines
-        if not np.isfinite(before):
-            return f"{moved}."
-        return f"{moved}; outlines by {before:.2g} before, {after:.2g} pixels after."
+        """Return a sentence with the motion, outlines if there are masks, and R^2."""
+        most, r2 = self.moved.max(), "R^2 {:.3f} before, {:.3f} after".format(*self.r2)
+        if self.is_worse:
+            return (
+                f"Poses are kept: moved by {self.pixels:.2g} pixels, they would predict held-out "
+                f"photographs worse ({r2}). Perhaps masks or mesh are wrong: see svu check."
+            )
+        parts = [f"Cameras were off by {self.pixels:.2g} pixels (rms; at most {most:.2g})"]
+        if np.isfinite(self.outlines[0]):
+            parts.append("outlines by {:.2g} before, {:.2g} pixels after".format(*self.outlines))
+        if np.isfinite(self.r2[0]):
+            parts.append(f"held-out photographs are predicted with {r2}")
+        return f"{'; '.join(parts)}."
 
 
 def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedPoses:
@@ -69,7 +85,8 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
 
     Gauss-Newton steps in six numbers per photograph (``pose_equations``). Without masks, only
     textures are used. Mesh, light and focal lengths are assumed to be right; a motion that all
-    cameras share is hardly determined.
+    cameras share is hardly determined. Cameras are moved only if this predicts held-out photographs
+    at least as well.
 
     Args:
         capture: at least three used photographs; the light is needed for textures.
@@ -86,8 +103,18 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
     require_variant()
     require_light(capture)
     rounds = _rounds(capture)
-    with (progress or Progress()).stage("Refining poses", len(rounds)) as stage:
-        return _refined(capture, rounds, stage.update)
+    progress = progress or Progress()
+    with progress.stage("Refining poses", len(rounds)) as stage:
+        refined = _refined(capture, rounds, stage.update)
+    with progress.stage("Predicting held-out photographs"):
+        refined = replace(refined, r2=(_r2(capture), _r2(refined.capture)))
+    return replace(refined, capture=capture) if refined.is_worse else refined
+
+
+def _r2(capture: Capture) -> float:
+    """Return R^2 of held-out photographs; NaN with too few."""
+    found = estimate(capture, texels(capture.mesh, FINE[0][0])).prediction
+    return np.nan if found is None else found.r2
 
 
 def outline_note(capture: Capture) -> str | None:
