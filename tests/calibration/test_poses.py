@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -89,6 +90,18 @@ def test_a_shifted_mask_is_a_shifted_outline(sound):
                       - projected(s, center[None])[0][0] for s, x, d in pairs])  # fmt: skip
     np.testing.assert_allclose(np.median(steps, axis=0), [2, 0], atol=0.3)
     assert 0.5 < np.median(distance) < 2  # the normals of an outline point everywhere
+
+
+def test_outlines_of_all_photographs_share_kernels(sound):
+    def compiled(capture):
+        dr.kernel_history_clear()
+        outline_equations(capture, distances(sound))
+        return {kernel["hash"] for kernel in dr.kernel_history([dr.KernelType.JIT])}
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        first = compiled(sound)
+        assert 0 < len(first) <= 4
+        assert compiled(shaken(sound, 0.4)) <= first
 
 
 def test_photographs_without_masks_have_no_outline(sound):

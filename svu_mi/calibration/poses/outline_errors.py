@@ -102,7 +102,8 @@ def _depths(
     on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, capture.shape))
     distance, point = dr.select(on_target, hit.t, dr.inf), ray(dr.select(on_target, hit.t, 0))
     dr.eval(distance, point)
-    return distance.numpy(), point.numpy().T.astype(np.float64)
+    # Component by component: Dr.Jit would compile a kernel for each number of points.
+    return distance.numpy(), np.stack([x.numpy() for x in point], axis=1).astype(np.float64)
 
 
 def _equations(

@@ -28,6 +28,7 @@ FINE = ((128, 0.5), (128, 0.5))
 LAST = 2  # solutions of the last equations, in which widths converge
 POINTS = 1000  # vertices whose motion in pixels is measured
 FEWEST = 3  # cameras
+UNCERTAIN = 0.003  # differences of R^2 that say nothing
 NOTED, CLOSER = 0.3, 0.9  # least motion [pixels] and largest ratio of distances of a note
 
 
@@ -56,8 +57,8 @@ class RefinedPoses:
 
     @property
     def is_worse(self) -> bool:
-        """Return whether held-out photographs are predicted worse."""
-        return self.r2[1] < self.r2[0]
+        """True if held-out photographs are predicted worse."""
+        return self.r2[1] < self.r2[0] - UNCERTAIN
 
     @property
     def pixels(self) -> float:
