@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import read_capture, with_light_search
 from svu_mi.cli.shared_options import GivenLight, Output, PhotographOptions, SceneOptions
+from svu_mi.core.io.exr import read_header
 from svu_mi.core.io.output_folder import Claim, is_kept, writing
+from svu_mi.core.io.provenance import RUN
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
@@ -70,20 +72,27 @@ class Refine(ResultCommand):
         return [refined.sentence()]
 
 
+def _run(folder: Path) -> str:
+    """Return the run that wrote the photographs, which the copy must name; empty if unknown."""
+    runs = (read_header(path).attributes.get(RUN, "") for path in sorted(folder.glob("*.exr")))
+    return str(next(filter(None, runs), ""))
+
+
 def _write(folder: Path, refined: Capture, place: Claim) -> None:
     """Write a copy of a capture folder with the poses of another capture."""
     from svu_mi.capture import capture_folder
-    from svu_mi.capture.scene import to_world
+    from svu_mi.capture.scene import find_sensors, to_world
     from svu_mi.capture.sensors import describe, make_sensor
 
     description = capture_folder.read(folder)
     assert description is not None
-    own = description.make_sensors(folder) or tuple(refined.sensors)
+    own = description.make_sensors(folder) or find_sensors(refined.scene, str(folder))
     sensors = [
         make_sensor({**describe(old), "to_world": to_world(new).tolist()}, old.id())
         for old, new in zip(own, refined.sensors, strict=True)
     ]
-    with writing(place, "refine", capture_folder.FILE, run=description.run) as draft:
+    run = description.run or _run(folder)
+    with writing(place, "refine", capture_folder.FILE, run=run) as draft:
         for path in sorted(folder.iterdir()):
             hidden = path.name.startswith(".") or is_kept(path.name)
             if path.is_dir() and not hidden:

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import run
+from support.helpers import run, write_scene
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -201,6 +201,20 @@ def test_a_copy_of_the_capture_has_the_new_poses(shot, tmp_path, capsys):
         assert (target / name).read_bytes() == (shot / name).read_bytes()
     capture = svu.load_capture(target)
     assert capture.count == 8
+
+
+def test_sensors_of_a_scene_are_refined_in_the_copy(tmp_path):
+    """A capture.json of one line leaves the sensors to its scene."""
+    folder = tmp_path / "photographs"
+    svu.render_capture(write_scene(tmp_path), spp=4, folder=folder)
+    record = json.loads((folder / "capture.json").read_text())
+    (folder / "capture.json").write_text(json.dumps(
+        {"format": "svu-capture", "scene": record["scene"], "shape": record["shape"]}
+    ))  # fmt: skip
+    assert run("refine", folder, "-o", tmp_path / "refined") == 0
+    written = json.loads((tmp_path / "refined" / "capture.json").read_text())
+    assert [one["film"] for one in written["sensors"]] == [o["film"] for o in record["sensors"]]
+    assert svu.load_capture(tmp_path / "refined").count == len(record["sensors"])
 
 
 def test_refine_names_what_it_needs(shot, tmp_path, capsys):
