@@ -33,6 +33,11 @@ WRAPPERS = {  # names of unsupported BSDFs in str(bsdf), and their description
     "Mask[": "an opacity",
     "BlendBSDF[": "a blend of two materials", "Thin Principled": "a thin, transparent surface",
 }  # fmt: skip
+RELATIVE_GAINS = (
+    "Exposures of EXIF are relative to each other: photographs and environment map differ in "
+    "brightness by an unknown factor, as do base colours. To avoid that, import with --exposures "
+    "FILE: gains that divide pixels to the radiance of the map."
+)
 UNMODELLED = "which svu does not account for"
 SHAPES = 5  # shapes that a message lists by name
 MOST = 0.6  # share of back faces that causes a warning; 0.5 for a plate seen from both sides
@@ -151,7 +156,8 @@ def unsupported(
         names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
             f"Light reflected by {names} falls on '{excerpt(target.id())}': the presets default "
-            "and fixed account for it, but neither other presets, nor svu light, guide and check."
+            "and fixed account for it, but not other presets, svu light, and the comparisons of "
+            "light by svu check."
         )
     return notes
 

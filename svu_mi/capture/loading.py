@@ -13,11 +13,16 @@ from typing import Any, Literal, TypeVar, get_args
 import mitsuba as mi
 
 from svu_mi.capture import capture_folder
-from svu_mi.capture.capture import Capture
+from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.crop import WHOLE, Detail, Window
 from svu_mi.capture.image_io import ImageFile
-from svu_mi.capture.load_warnings import check_photographs, unsupported, warn_of_back_faces
+from svu_mi.capture.load_warnings import (
+    RELATIVE_GAINS,
+    check_photographs,
+    unsupported,
+    warn_of_back_faces,
+)
 from svu_mi.capture.match_photographs import Match, Missing, match_photographs, photographs_of
 from svu_mi.capture.mesh import arrays, chart_coverage, has_uvs
 from svu_mi.capture.mesh_scale import wrong_scale
@@ -35,6 +40,8 @@ from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
+
+LEVEL = 0.7  # standard deviation of the log brightness of light beside gains of EXIF
 
 Light = Literal["required", "optional"]
 Value = TypeVar("Value")
@@ -241,13 +248,15 @@ class CapturePlan:
         material = unsupported(target.scene, target.mesh, target.materials, own_uvs=own)
         notes = [*self.match.notes, *notes, *unwrapping, *material]
         notes += self._geometry_warnings(sensors)
+        relative = bool(self.description.imported.get("relative_gains")) and self.light is not None
+        notes += [RELATIVE_GAINS] * relative
         for sentence in notes:
             warnings.warn(sentence, SvuWarning, stacklevel=3)
         return Capture(
             scene=target.scene, shape=target.mesh, mesh=mesh, sensors=tuple(sensors),
             images=tuple(photograph.pixels for photograph in photographs),
             masks=tuple(photograph.mask for photograph in photographs),
-            exposures=tuple(self.exposures), 
+            exposures=tuple(self.exposures),
             exposures_known=bool(self.description.exposures) or not self.description.imported,
             names=tuple(names), files=tuple(self.match.names),
             unusable=tuple(p.invalid + p.marked + p.saturated for p in photographs),
@@ -255,6 +264,7 @@ class CapturePlan:
             clipped=_any(photograph.clipped for photograph in photographs),
             rounding=_any(photograph.rounding for photograph in photographs), buffer=buffer,
             flash=self.description.flash,
+            light_uncertainty=LightUncertainty(scale=(LEVEL,) * 3) if relative else None,
         )  # fmt: skip
 
     def _geometry_warnings(self, sensors: Sequence[Any]) -> list[str]:

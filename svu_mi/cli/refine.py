@@ -42,12 +42,13 @@ class Refine(ResultCommand):
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
-        from svu_mi.capture.capture_folder import FILE
+        from svu_mi.capture.capture_folder import FILE, FORMAT
 
         if not (self.source.scene / FILE).is_file():
             raise OptionError(
                 f"{self.source.scene}: not a capture folder; svu refine writes a copy of one with "
-                "new poses: make it with svu import or svu render."
+                "new poses. Make it with svu import or svu render, or write a capture.json next to "
+                f'the photographs: {{"format": "{FORMAT}", "scene": "PATH.xml"}}.'
             )
         if self.photographs.images is not None:
             raise OptionError("svu refine copies the photographs of a capture; omit --images.")

@@ -17,7 +17,7 @@ TOLERANCE = 0.05  # largest half-width of an interval that counts as known
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
 ROUNDING = 1e-6  # rounding of interval ends in single precision
 ESTIMATED_LIGHT = (
-    "the light was estimated from the photographs, and then, often, fewer than 90 % of the 90 % "
+    "the light or its brightness is estimated, and then, often, fewer than 90 % of the 90 % "
     "intervals of a parameter contain the truth"
 )
 
@@ -87,7 +87,7 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
 
 
 def has_estimated_light(estimate: Any) -> bool:
-    """Return whether the light was estimated, so that intervals are too narrow."""
+    """Return whether the light or its level is estimated, so that intervals are too narrow."""
     observed = estimate.observed
     return observed is not None and observed.capture.light_uncertainty is not None
 

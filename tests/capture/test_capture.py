@@ -691,7 +691,7 @@ def test_grey_table_under_the_object_causes_a_warning(tmp_path):
     )
     sentence = (
         "Light reflected by 'table' falls on 'ball': the presets default and fixed account for it, "
-        "but neither other presets, nor svu light, guide and check."
+        "but not other presets, svu light, and the comparisons of light by svu check."
     )
     path = write_scene(tmp_path, extra=table)
     path.write_text(path.read_text().replace('type="direct"', 'type="path"'))

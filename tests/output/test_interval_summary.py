@@ -113,7 +113,7 @@ def test_nothing_is_called_known_under_estimated_light(posterior):
     assert summary.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
     assert summary.summary() == (
         "38 % of the surface area seen, mean entropy 0.38. No parameter is called known to ±0.05: "
-        "the light was estimated from the photographs, and then, often, fewer than 90 % of the "
+        "the light or its brightness is estimated, and then, often, fewer than 90 % of the "
         "90 % intervals of a parameter contain the truth."
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}

@@ -120,7 +120,7 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
 def scale_sentence(estimate: LightEstimate) -> str:
     """Return a sentence about the scale of the light."""
     if not estimate.scale_sd.any():
-        return "Brightness and colour of the light were given, so base colours are absolute."
+        return "Brightness and colour of the light were given: base colours share their errors."
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
         f"light are estimated: {channel_factors(estimate)} (90 % intervals). It is removed by "

@@ -68,9 +68,8 @@ def _outline(capture: Capture, table: Any, view: int, sensor: Any) -> tuple[np.n
     points = np.stack([x[edge], y[edge]], axis=1)
     normals = -np.stack([right[edge], down[edge]], axis=1)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    margin = REACH * step
-    good = (length[:, 0] > 0) & ((points > margin) & (points < size - margin)).all(axis=1)
-    chosen = np.flatnonzero(good)
+    inner = (points > REACH * step) & (points < size - REACH * step)
+    chosen = np.flatnonzero((length[:, 0] > 0) & inner.all(axis=1))
     chosen = chosen[evenly_spaced(len(chosen), MOST)]
     return points[chosen], normals[chosen] / length[chosen]
 
@@ -81,8 +80,7 @@ def _errors(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return how far the mask reaches beyond the mesh (N,) pixels, and world points (N, 3)."""
     step = STEP * max(1.0, max(mask.shape) / COARSE)
-    count = int(REACH / STEP)
-    along = (np.arange(-count, count) + 0.5) * step
+    along = (np.arange(-int(REACH / STEP), int(REACH / STEP)) + 0.5) * step
     x, y = (points[:, None] + along[:, None] * normals[:, None]).transpose(2, 0, 1)
     of_mesh = np.isfinite(_depths(capture, table, view, x, y)[0]).reshape(x.shape)
     of_mask = scipy.ndimage.map_coordinates(

@@ -24,7 +24,6 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, describe, focal_length, make_sensor
 
 WIDEST = np.array([np.radians(0.3)] * 3 + [np.radians(0.3)] * 3)  # first standard deviations
-STEPS = 4  # of the EM algorithm, per solution
 
 
 @dataclass(frozen=True)
@@ -42,15 +41,18 @@ class PoseEquations:
     def __add__(self, other: PoseEquations) -> PoseEquations:
         return PoseEquations(self.matrix + other.matrix, self.right + other.right)
 
-    def solve(self, moved: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(
+        self, moved: np.ndarray, widths: np.ndarray, steps: int = 4
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return motions from the given poses (V, 6), and the widths (6,) of their prior.
 
         Args:
             moved: (V, 6), motions at which the equations were made.
             widths: (6,), standard deviations of the prior.
+            steps: steps of the EM algorithm.
         """
         target = self.right + np.einsum("vij,vj->vi", self.matrix, moved)
-        for _ in range(STEPS):
+        for _ in range(steps):
             covariance = np.linalg.inv(self.matrix + np.diag(widths**-2.0))
             motion = np.einsum("vij,vj->vi", covariance, target)
             square = np.diagonal(covariance, axis1=1, axis2=2) + motion**2

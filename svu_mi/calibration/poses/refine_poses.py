@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svu_mi.calibration.poses.outline_errors import outline_equations
-from svu_mi.calibration.poses.pose_equations import WIDEST, PoseEquations, moved_sensor
+from svu_mi.calibration.poses.pose_equations import WIDEST, moved_sensor
 from svu_mi.calibration.poses.texture_errors import texture_equations
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays
@@ -25,7 +25,7 @@ Round = tuple[int, float]
 OUTLINES = 3  # rounds with outlines only
 COARSE = ((32, 2.0), (32, 2.0), (64, 1.0), (64, 1.0))  # texels per side and spread, without masks
 FINE = ((128, 0.5), (128, 0.5))
-LAST = 2  # solutions of the last equations, in which widths converge
+STEPS, LAST = 4, 8  # steps of the EM algorithm in a round, and in the last one
 POINTS = 1000  # vertices whose motion in pixels is measured
 FEWEST = 3  # cameras
 UNCERTAIN = 0.003  # differences of R^2 that say nothing
@@ -144,7 +144,8 @@ def _refined(
         before = _rms(off) if number == 0 else before
         if fine is not None:
             equations = equations + texture_equations(current, fine[0], fine[1], distances)
-        motion, widths = _solved(equations, motion, widths, last=number + 1 == len(rounds))
+        is_last = number + 1 == len(rounds)
+        motion, widths = equations.solve(motion, widths, LAST if is_last else STEPS)
         current = _with_motion(capture, motion, distances)
         report(number + 1, len(rounds))
     after = _rms(outline_equations(current, distances)[1])
@@ -171,22 +172,11 @@ def _rounds(capture: Capture) -> list[Round | None]:
     return outlines + ([*COARSE, *FINE] if any(bare) else []) + [*FINE]
 
 
-def _solved(
-    equations: PoseEquations, motion: np.ndarray, widths: np.ndarray, *, last: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return motions, and the widths of their prior."""
-    for _ in range(LAST if last else 1):
-        moved, widths = equations.solve(motion, widths)
-    return moved, widths
-
-
 def _with_motion(capture: Capture, motion: np.ndarray, distances: np.ndarray) -> Capture:
     """Return the capture with used cameras moved from its own poses."""
-    sensors, number = list(capture.sensors), 0
-    for index, used in enumerate(capture.used):
-        if used:
-            sensors[index] = moved_sensor(sensors[index], motion[number], distances[number])
-            number += 1
+    sensors = list(capture.sensors)
+    for number, index in enumerate(np.flatnonzero(capture.used)):
+        sensors[index] = moved_sensor(sensors[index], motion[number], distances[number])
     return replace(capture, sensors=tuple(sensors))
 
 

@@ -7,7 +7,6 @@ surface, so that patches of texels have an unknown brightness in each photograph
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -124,7 +123,7 @@ def gradient_samples(known: Estimate, seen: np.ndarray, spread: float) -> Gradie
     values = {name: np.array(known.posterior.mean(name)).reshape(1, known.texels.count, -1)[:, seen]
               for name in known.posterior.axes}  # fmt: skip
     views, visibility, surface = observed.views, observed.visibility, model.surface
-    packed = pack_values([_coloured(values)], model.levels)
+    packed = pack_values([values], model.levels)
     table, width = to_drjit(mi.Float, packed.ravel()), packed.shape[-1]
     count, slots = surface.count, int(dr.width(visibility.order))
     lanes, stride = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, slots * count)
@@ -163,9 +162,3 @@ def gradient_samples(known: Estimate, seen: np.ndarray, spread: float) -> Gradie
         visibility.order.numpy()[slot].astype(np.int64), lane, cosine, predicted - radiance,
         radiance, np.stack([right, down], axis=1),
     )  # fmt: skip
-
-
-def _coloured(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return parameters with three channels of base colour."""
-    color = values["base_color"]
-    return {**values, "base_color": np.repeat(color, 3 // color.shape[-1], axis=-1)}

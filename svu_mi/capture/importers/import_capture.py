@@ -35,7 +35,7 @@ from svu_mi.capture.importers.convert_photographs import (
 )
 from svu_mi.capture.importers.duplicate_frames import duplicate_notes
 from svu_mi.capture.importers.envmap import write_environment
-from svu_mi.capture.importers.exposure_list import with_gains
+from svu_mi.capture.importers.exposure_list import EQUAL, with_gains
 from svu_mi.capture.importers.import_options import ImportOptions, Light
 from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
 from svu_mi.capture.importers.mesh_materials import write_pictures
@@ -44,7 +44,13 @@ from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
 from svu_mi.capture.importers.simplify_mesh import simplify
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.importers.source_files import relative_name
-from svu_mi.capture.load_warnings import MOST, back_face_share, faces_outward, too_few_for_light
+from svu_mi.capture.load_warnings import (
+    MOST,
+    RELATIVE_GAINS,
+    back_face_share,
+    faces_outward,
+    too_few_for_light,
+)
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.normal_map import MIRRORED, mirrored_share
@@ -129,6 +135,7 @@ class ImportPlan:
     light: Light | None
     notes: Sequence[str]
     exposures_known: bool
+    relative_gains: bool
 
     @property
     def sizes(self) -> Sizes:
@@ -160,6 +167,7 @@ class ImportPlan:
                 "photographs": [relative_name(source.root, frame.taken) for frame in squares],
                 "mesh_scale": float(options.mesh_scale), "notes": notes,
                 **({"options": list(words)} if words else {}),
+                **({"relative_gains": True} if self.relative_gains else {}),
             }  # fmt: skip
             description = Description(
                 scene=draft.folder / SCENE, shape=OBJECT, imported=imported,
@@ -246,8 +254,13 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
         )
     if mesh is None:
         raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
+    relative = options.exposures in (None, "exif") and light is not None and any(
+        max(a.exposure, b.exposure) >= EQUAL * min(a.exposure, b.exposure)
+        for a, b in zip(gained, there, strict=True)
+    )  # fmt: skip
+    about_gains += [RELATIVE_GAINS] * relative
     notes = [*left_out, *duplicate_notes(frames, str(source.root)), *about_gains]
-    return ImportPlan(source, options, fixes, frames, str(mesh), light, notes, known)
+    return ImportPlan(source, options, fixes, frames, str(mesh), light, notes, known, relative)
 
 
 def _parallel_count(frames: Sequence[Frame]) -> int:

@@ -657,7 +657,8 @@ def test_exposures_from_exif(source, tmp_path):
         path = source.root / f"{k}.jpg"
         Image.fromarray(np.full((6, 8, 3), 90, np.uint8)).save(path, exif=exif)
         frames.append(replace(source.frames[k], image=path))
-    capture = loaded(replace(source, frames=frames), tmp_path / "capture", exposures="exif")
+    with pytest.warns(svu.SvuWarning, match="relative to each other"):
+        capture = loaded(replace(source, frames=frames), tmp_path / "capture", exposures="exif")
     ratio = (1 / 200 * 800 / 64) / (1 / 50 * 100 / 16)
     assert capture.exposures[1] / capture.exposures[0] == pytest.approx(ratio, rel=1e-5)
     with pytest.raises(CaptureError, match="0.exr: no exposure time"):
@@ -681,7 +682,11 @@ def test_exif_is_used_if_all_photographs_have_it(source, tmp_path):
     unlike = with_exif(source, (1 / 80, 1.8), (1 / 50, 1.8))
     notes = import_capture(unlike, tmp_path / "default")
     assert sum(note.startswith("EXIF: exposures differ by 1.6 x; pixels") for note in notes) == 1
-    capture = svu.load_capture(tmp_path / "default")
+    assert sum("relative to each other" in note for note in notes) == 1
+    with pytest.warns(svu.SvuWarning, match="import with --exposures FILE"):
+        capture = svu.load_capture(tmp_path / "default")
+    assert min(capture.light_uncertainty.scale) > 0.5  # base colours have a factor of about two
+    assert source.light is not None
     assert capture.exposures[1] / capture.exposures[0] == pytest.approx(1.6, rel=1e-5)
     assert capture.exposures_known
     for gains, known in (("none", True), ("estimate", False)):
