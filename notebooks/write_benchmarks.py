@@ -154,9 +154,8 @@ def intervals(record: Record) -> list[Row]:
 
 def verdicts(record: Record) -> list[Row]:
     return bars(record, {
-        "sound captures that are called reliable": ["sound captures"],
-        "captures with a mistake: called unreliable / cause named":
-            ["captures with a mistake that", "captures with a mistake whose"],
+        "sound captures called reliable / with a mistake: called unreliable / cause named":
+            ["sound captures", "captures with a mistake that", "captures with a mistake whose"],
     })  # fmt: skip
 
 
@@ -172,18 +171,15 @@ def reflections(record: Record) -> list[Row]:
 
 
 def poses(record: Record) -> list[Row]:
-    """Return the shift of cameras, and the PSNR of textures, before and after, for each angle."""
-    names = dict.fromkeys(name for case in record["cells"] for name in case["rows"])
-    keys = ("roughness", "metallic", "base_color")
-    result = []
-    for name in names:
-        rows = rows_of(record, name)
-        before, after = (
-            [" / ".join(f"{mean(row[key + when] for row in rows):.1f}" for key in keys)]
-            for when in (" before", "")
-        )
-        shifts = [f"{mean(row['pixels' + when] for row in rows):.2f}" for when in (" before", "")]
-        result.append([name, *shifts, *before, *after])
+    """Return the shift of cameras, and the PSNR of textures, for the larger errors."""
+    keys, result = ("roughness", "metallic", "base_color"), []
+    for name in ("0.2 degrees", "0.5 degrees", "0.2 degrees, no masks"):
+        rows, exact = rows_of(record, name), rows_of(record, "exact")
+        shift = " / ".join(f"{mean(row['pixels' + when] for row in rows):.2f}"
+                           for when in (" before", ""))  # fmt: skip
+        psnr = [" / ".join(f"{mean(row[key + when] for row in of):.1f}" for key in keys)
+                for of, when in ((exact, " before"), (rows, " before"), (rows, ""))]  # fmt: skip
+        result.append([name, shift, *psnr])
     return result
 
 
@@ -389,7 +385,7 @@ SECTIONS = (
         "their distance. Shift of the object in the photographs in pixels, and PSNR of posterior "
         "means of roughness, metallic and base colour, before and after `svu refine`.",
         {"poses": poses},
-        heads=("cameras", "pixels", "refined", "PSNR", "refined"),
+        heads=("cameras", "pixels: before / after", "exact cameras", "before", "after"),
     ),
     Section(
         "Light estimated from the photographs",
