@@ -330,7 +330,7 @@ def test_from_photographs_without_a_light_to_textures(dark, tmp_path, capsys):
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<h2>Estimated light</h2>" in page
     assert 'alt="Radiance of the light"' in page
-    withheld = "No parameter is called known to ±0.05: the light was estimated"
+    withheld = "No parameter is called known to ±0.05: the light or its brightness is estimated"
     assert said.out.count(withheld) == 4 and withheld in page and "as the light was est" in page
     assert 'class="parts"' not in page and "count as determined" not in page
     assert said.out.count("Base colours are determined up to a factor per channel") == 5

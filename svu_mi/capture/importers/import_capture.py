@@ -255,7 +255,7 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     if mesh is None:
         raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
     relative = options.exposures in (None, "exif") and light is not None and any(
-        max(a.exposure, b.exposure) >= EQUAL * min(a.exposure, b.exposure)
+        light.scale == 1 and max(a.exposure, b.exposure) >= EQUAL * min(a.exposure, b.exposure)
         for a, b in zip(gained, there, strict=True)
     )  # fmt: skip
     about_gains += [RELATIVE_GAINS] * relative

@@ -683,7 +683,7 @@ def test_exif_is_used_if_all_photographs_have_it(source, tmp_path):
     notes = import_capture(unlike, tmp_path / "default")
     assert sum(note.startswith("EXIF: exposures differ by 1.6 x; pixels") for note in notes) == 1
     assert sum("relative to each other" in note for note in notes) == 1
-    with pytest.warns(svu.SvuWarning, match="import with --exposures FILE"):
+    with pytest.warns(svu.SvuWarning, match="or with --exposures FILE"):
         capture = svu.load_capture(tmp_path / "default")
     assert min(capture.light_uncertainty.scale) > 0.5  # base colours have a factor of about two
     assert source.light is not None
