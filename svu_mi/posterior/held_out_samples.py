@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,63 +75,91 @@ def predict_samples(
         draws: posterior without each fold: the means, then draws.
         noise: (F, t) standard deviation of samples of weight 1 without each fold.
     """
-    views, visibility, surface = observed.views, observed.visibility, model.surface
-    order, channels = visibility.order, draws[0]["base_color"].shape[-1]
-    count, slots = surface.count, int(dr.width(order))
-    packed = pack_values(draws, model.levels)
-    table, width = to_drjit(mi.Float, packed.ravel()), packed.shape[-1]
+    channels = draws[0]["base_color"].shape[-1]
+    table = PackedValues.of(draws, model.levels)
     fold_of_view = to_drjit(mi.UInt32, folds.astype(np.uint32))
-    lanes, stride = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, slots * count)
+    lanes = dr.opaque(mi.UInt32, model.surface.count)
     knee, eta = dr.opaque(mi.Float, weighting.kappa), dr.opaque(mi.Float, weighting.edges)
+
+    def values(sample: ViewSample, lobes: Any, view: Any) -> list[Any]:
+        shown = as_channels(sample.radiance, channels)
+        weight = noise_weight(sum(shown) / channels, knee, sample.contrast, eta)
+        fold = dr.gather(mi.UInt32, fold_of_view, view)
+        first = (fold * lanes + model.surface.lane) * len(draws)
+        mean, *drawn = (table.radiance(lobes, first + k) for k in range(len(draws)))
+        squares = [sum((one[c] - mean[c]) ** 2 for one in drawn) for c in range(channels)]
+        level = lobes[model.levels // 2]
+        white = [level[c % len(level)][0] for c in range(channels)]
+        return [weight, *shown, *mean, *squares, *white]
+
+    view, texel, found = collect_samples(observed, model, 1 + 4 * channels, values)
+    fold = folds[view]
+    held = there[fold, texel]
+    view, texel, fold = view[held], texel[held], fold[held]
+    weight, *parts = found[:, held]
+    shown, mean, squares, white = np.reshape(parts, (4, channels, -1)).swapaxes(1, 2)
+    variance = squares / max(len(draws) - 1, 1) + (noise[fold, texel] ** 2 / weight)[:, None]
+    return HeldOutSamples(view, texel, fold, weight, shown, mean, np.sqrt(variance), white)
+
+
+def collect_samples(
+    observed: Observed, model: ReflectionModel, rows: int,
+    values: Callable[[ViewSample, Any, Any], list[Any]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Return view and lane (S,) int64 and values (rows, S) float64 of a model's samples.
+
+    ``values`` is a function of a sample, the columns of its texel, and the view (UInt32).
+    """
+    visibility, surface = observed.visibility, model.surface
+    order, count = visibility.order, surface.count
+    slots = int(dr.width(order))
+    lanes, stride = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, slots * count)
     mirrors = observed.mirrors if model.reads_mirrors else None
-    rows = 2 + 4 * channels
-    found = dr.zeros(mi.Float, rows * slots * count)
+    found = dr.zeros(mi.Float, (1 + rows) * slots * count)
 
-    def radiance(lobes: Any, place: Any) -> list[Any]:
-        """Return the predicted radiance for one row of the table."""
-        row = [dr.gather(mi.Float, table, place * width + k) for k in range(width)]
-        color, mixed, shares = row[:channels], row[channels : -model.levels], row[-model.levels :]
-        return interpolate_radiance(lobes, shares, color, mixed)
-
-    def consume(seen: ViewSample, slot: Any, total: Any) -> tuple[Any]:
+    def consume(sample: ViewSample, slot: Any, total: Any) -> tuple[Any]:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(total: Any) -> Any:
-            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free, slot)
-            shown = as_channels(seen.radiance, channels)
-            weight = noise_weight(sum(shown) / channels, knee, seen.contrast, eta)
-            fold = dr.gather(mi.UInt32, fold_of_view, dr.gather(mi.UInt32, order, slot))
-            first = (fold * lanes + surface.lane) * len(draws)
-            mean, *drawn = (radiance(lobes, first + k) for k in range(len(draws)))
-            squares = [sum((one[c] - mean[c]) ** 2 for one in drawn) for c in range(channels)]
-            level = lobes[model.levels // 2]
-            white = [level[c % len(level)][0] for c in range(channels)]
-            values = [mi.Float(1), weight, *shown, *mean, *squares, *white]
-            for row, value in enumerate(values):
+            lobes = model.columns(sample.direction, dr.maximum(sample.cosine, GRAZING), free, slot)
+            of_sample = values(sample, lobes, dr.gather(mi.UInt32, order, slot))
+            for row, value in enumerate([mi.Float(1), *of_sample]):
                 place = row * stride + slot * lanes + surface.lane
-                dr.scatter(found, value, place, seen.seen)
+                dr.scatter(found, value, place, sample.seen)
             return total + 1
 
-        return (dr.if_stmt((total,), visibility.needs_work(seen.seen), add, lambda total: total),)
+        return (dr.if_stmt((total,), visibility.needs_work(sample.seen), add, lambda total: total),)
 
-    (total,) = visibility.over_views(views, surface, consume, (dr.zeros(mi.Float, count),))
+    (total,) = visibility.over_views(observed.views, surface, consume, (dr.zeros(mi.Float, count),))
     dr.eval(total, found)
-    values, view = found.numpy().reshape(rows, slots, count), order.numpy().astype(np.int64)
-    slot, texel = np.nonzero((values[0] > 0) & there[folds[view]])
-    weight, *parts = values[1:, slot, texel].astype(np.float64)
-    shown, mean, squares, white = np.reshape(parts, (4, channels, -1)).swapaxes(1, 2)
-    of_slot = view[slot]
-    fold = folds[of_slot]
-    variance = squares / max(len(draws) - 1, 1) + (noise[fold, texel] ** 2 / weight)[:, None]
-    return HeldOutSamples(of_slot, texel, fold, weight, shown, mean, np.sqrt(variance), white)
+    table = found.numpy().reshape(1 + rows, slots, count)
+    slot, lane = np.nonzero(table[0] > 0)
+    return order.numpy().astype(np.int64)[slot], lane, table[1:, slot, lane].astype(np.float64)
 
 
-def pack_values(draws: Sequence[Values], levels: int) -> np.ndarray:
-    """Return colour, mixing parameters and spline weights of D draws, (F, t, D, width)."""
-    rows = []
-    for values in draws:
-        roughness = values["roughness"][..., 0]
-        shares = level_shares(roughness.ravel(), levels).reshape(*roughness.shape, -1)
-        mixed = [values[name] for name in MIXED]
-        rows.append(np.concatenate([values["base_color"], *mixed, shares], axis=-1))
-    return np.stack(rows, axis=2).astype(np.float32)
+@dataclass(frozen=True)
+class PackedValues:
+    """Parameters in rows of a table: base colour, mixing parameters, weights of levels."""
+
+    table: Any
+    width: int
+    channels: int
+
+    @staticmethod
+    def of(draws: Sequence[Values], levels: int) -> PackedValues:
+        """Pack D draws (F, t, g) of each parameter; draws of a texel are neighbouring rows."""
+        rows = []
+        for values in draws:
+            roughness = values["roughness"][..., 0]
+            shares = level_shares(roughness.ravel(), levels).reshape(*roughness.shape, -1)
+            mixed = [values[name] for name in MIXED]
+            rows.append(np.concatenate([values["base_color"], *mixed, shares], axis=-1))
+        packed = np.stack(rows, axis=2).astype(np.float32)
+        channels = draws[0]["base_color"].shape[-1]
+        return PackedValues(to_drjit(mi.Float, packed.ravel()), packed.shape[-1], channels)
+
+    def radiance(self, lobes: Sequence[Any], row: Any) -> list[Any]:
+        """Return the outgoing radiance for the parameters in a row (UInt32)."""
+        values = [dr.gather(mi.Float, self.table, row * self.width + k) for k in range(self.width)]
+        mixed, shares = values[self.channels : -len(lobes)], values[-len(lobes) :]
+        return interpolate_radiance(lobes, shares, values[: self.channels], mixed)

@@ -8,6 +8,8 @@ same width everywhere: each photograph has an unknown width.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -20,6 +22,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.film_rays import film_ray, ray_table
 from svu_mi.capture.sensors import film_size
 from svu_mi.core.arrays import evenly_spaced, to_drjit
+
+Trace = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 COARSE = 256  # pixels on the longer side of the image in which outlines are found
 REACH = 6.0  # half the length of the integrals, in coarse pixels
@@ -41,56 +45,53 @@ def outline_equations(capture: Capture, distances: np.ndarray) -> tuple[PoseEqua
     for view, (sensor, mask) in enumerate(zip(sensors, masks, strict=True)):
         equations = NOTHING
         if mask is not None:
-            points, normals = _outline(capture, table, view, sensor)
+            trace = partial(_trace, capture, table, view)
+            points, normals, world = _outline(trace, film_size(sensor))
             if len(points) >= FEWEST:
-                errors, world = _errors(capture, table, view, points, normals, mask)
-                slopes = np.einsum(
-                    "nk,nkj->nj", normals, pixel_derivatives(sensor, world, distances[view])
-                )
-                equations, distance[view] = _equations(slopes, errors, _pixel(sensor))
+                errors = _errors(trace, points, normals, mask)
+                by_motion = pixel_derivatives(sensor, world, distances[view])
+                slopes = np.einsum("nk,nkj->nj", normals, by_motion)
+                equations, distance[view] = _equations(slopes, errors, _pixel(mask.shape))
         of_views.append(equations)
     return PoseEquations.of(of_views), distance
 
 
-def _pixel(sensor: Any) -> float:
+def _pixel(size: tuple[int, ...]) -> float:
     """Return the size of a coarse pixel, in pixels."""
-    return max(1.0, max(film_size(sensor)) / COARSE)
+    return max(1.0, max(size) / COARSE)
 
 
-def _outline(capture: Capture, table: Any, view: int, sensor: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of the mesh's outline and their outward normals, (N, 2) pixels each."""
-    size, step = np.array(film_size(sensor)), _pixel(sensor)
-    columns, rows = (size / step).astype(int)
+def _outline(trace: Trace, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Return the mesh's outline: points and outward normals (N, 2) pixels, world points (N, 3)."""
+    step = _pixel(size)
+    columns, rows = (int(side / step) for side in size)
     x, y = np.meshgrid(*((np.arange(n) + 0.5) * step for n in (columns, rows)))
-    inside = np.isfinite(_depths(capture, table, view, x, y)[0]).reshape(rows, columns)
+    distance, world = trace(x, y)
+    inside = np.isfinite(distance).reshape(rows, columns)
     edge = inside & ~scipy.ndimage.binary_erosion(inside, border_value=1)
     down, right = np.gradient(scipy.ndimage.gaussian_filter(inside.astype(float), BLUR))
     points = np.stack([x[edge], y[edge]], axis=1)
     normals = -np.stack([right[edge], down[edge]], axis=1)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    inner = (points > REACH * step) & (points < size - REACH * step)
+    inner = (points > REACH * step) & (points < np.array(size) - REACH * step)
     chosen = np.flatnonzero((length[:, 0] > 0) & inner.all(axis=1))
     chosen = chosen[evenly_spaced(len(chosen), MOST)]
-    return points[chosen], normals[chosen] / length[chosen]
+    return points[chosen], normals[chosen] / length[chosen], world[edge.ravel()][chosen]
 
 
-def _errors(
-    capture: Capture, table: Any, view: int, points: np.ndarray, normals: np.ndarray,
-    mask: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return how far the mask reaches beyond the mesh (N,) pixels, and world points (N, 3)."""
-    step = STEP * max(1.0, max(mask.shape) / COARSE)
+def _errors(trace: Trace, points: np.ndarray, normals: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return how far the mask reaches beyond the mesh, (N,) pixels."""
+    step = STEP * _pixel(mask.shape)
     along = (np.arange(-int(REACH / STEP), int(REACH / STEP)) + 0.5) * step
     x, y = (points[:, None] + along[:, None] * normals[:, None]).transpose(2, 0, 1)
-    of_mesh = np.isfinite(_depths(capture, table, view, x, y)[0]).reshape(x.shape)
+    of_mesh = np.isfinite(trace(x, y)[0]).reshape(x.shape)
     of_mask = scipy.ndimage.map_coordinates(
         mask.astype(np.float32), [y - 0.5, x - 0.5], order=1, mode="nearest"
     )
-    _, world = _depths(capture, table, view, *points.T)
-    return (of_mask - of_mesh).sum(axis=1) * step, world
+    return np.asarray((of_mask - of_mesh).sum(axis=1) * step)
 
 
-def _depths(
+def _trace(
     capture: Capture, table: Any, view: int, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Trace film positions: distances (N,), infinite for a miss, and world points (N, 3)."""

@@ -144,14 +144,13 @@ def _refined(
         before = _rms(off) if number == 0 else before
         if fine is not None:
             equations = equations + texture_equations(current, fine[0], fine[1], distances)
-        is_last = number + 1 == len(rounds)
-        motion, widths = equations.solve(motion, widths, LAST if is_last else STEPS)
+        motion, widths = equations.solve(
+            motion, widths, LAST if number + 1 == len(rounds) else STEPS
+        )
         current = _with_motion(capture, motion, distances)
         report(number + 1, len(rounds))
-    after = _rms(outline_equations(current, distances)[1])
-    return RefinedPoses(
-        capture=current, moved=moved_pixels(capture, current), outlines=(before, after)
-    )
+    outlines = before, _rms(outline_equations(current, distances)[1])
+    return RefinedPoses(capture=current, moved=moved_pixels(capture, current), outlines=outlines)
 
 
 def camera_distances(capture: Capture) -> np.ndarray:

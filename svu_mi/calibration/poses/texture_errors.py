@@ -16,17 +16,14 @@ import numpy as np
 
 from svu_mi.calibration.poses.pose_equations import NOTHING, PoseEquations, pixel_derivatives
 from svu_mi.capture.capture import Capture
-from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.pixel_footprint import mean_over_texel, read_camera
+from svu_mi.geometry.sample_view import ViewSample
 from svu_mi.geometry.texels import Texels, texels
-from svu_mi.parameters import MIXED
 from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.posterior.held_out_samples import pack_values
+from svu_mi.posterior.held_out_samples import PackedValues, collect_samples
 from svu_mi.presets import AngularPreset
-from svu_mi.reflection.mix_columns import interpolate_radiance
 from svu_mi.reflection.roughness_levels import roughness_levels
-from svu_mi.statistics.gather_statistics import GRAZING
 
 PATCH = 8  # texels per side of a patch with an unknown brightness
 STEEPEST = 0.25  # smallest cosine of the viewing angle
@@ -99,9 +96,9 @@ def _equations(
     error, gradient = samples.error[own], samples.gradient[own]
     noise = NOISE * (samples.radiance[own].mean(axis=1) + SWITCHES.knee * unit)
     variance = noise**2 + 0.25 * spread**2 * np.square(gradient).sum(axis=1).mean(axis=1)
-    weights = 1 / (variance + np.square(error).mean(axis=1) / 4)
-    weights /= ALIKE * max(1.0, float(np.average(np.square(error).mean(axis=1), weights=weights)
-                                      / np.average(variance, weights=weights)))  # fmt: skip
+    square = np.square(error).mean(axis=1)
+    weights = 1 / (variance + square / 4)
+    weights /= ALIKE * max(1.0, float(weights @ square / (weights @ variance)))
     _, place = np.unique(patch, return_inverse=True)
     total = np.bincount(place, weights)
     A, b = np.zeros((6, 6)), np.zeros(6)
@@ -122,43 +119,21 @@ def gradient_samples(known: Estimate, seen: np.ndarray, spread: float) -> Gradie
     model = observed.model(roughness_levels(SWITCHES.levels), SWITCHES, 3)
     values = {name: np.array(known.posterior.mean(name)).reshape(1, known.texels.count, -1)[:, seen]
               for name in known.posterior.axes}  # fmt: skip
-    views, visibility, surface = observed.views, observed.visibility, model.surface
-    packed = pack_values([values], model.levels)
-    table, width = to_drjit(mi.Float, packed.ravel()), packed.shape[-1]
-    count, slots = surface.count, int(dr.width(visibility.order))
-    lanes, stride = dr.opaque(mi.UInt32, count), dr.opaque(mi.UInt32, slots * count)
-    mirrors = observed.mirrors if model.reads_mirrors else None
-    step, found = dr.opaque(mi.Float, spread), dr.zeros(mi.Float, 14 * slots * count)
+    table, step = PackedValues.of([values], model.levels), dr.opaque(mi.Float, spread)
+    views, surface = observed.views, model.surface
 
-    def consume(sample: Any, slot: Any, total: Any) -> tuple[Any]:
-        free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
+    moves = (step, 0), (-step, 0), (0, step), (0, -step)
 
-        def add(total: Any) -> Any:
-            lobes = model.columns(sample.direction, dr.maximum(sample.cosine, GRAZING), free, slot)
-            row = [dr.gather(mi.Float, table, surface.lane * width + k) for k in range(width)]
-            shares = row[-model.levels :]
-            predicted = interpolate_radiance(lobes, shares, row[:3], row[3 : 3 + len(MIXED)])
-            camera = read_camera(views, dr.gather(mi.UInt32, visibility.order, slot))
-            place = surface.position, surface.sides
-            values = [mi.Float(1), sample.cosine, *sample.radiance, *predicted]
-            for move in ((step, 0), (0, step)):
-                ends = [mean_over_texel(views, camera, *place, sample.seen, moved=(s * move[0],
-                        s * move[1]))[0] for s in (1, -1)]  # fmt: skip
-                values += [(a - b) / (2 * step) for a, b in zip(*ends, strict=True)]
-            for number, value in enumerate(values):
-                target = number * stride + slot * lanes + surface.lane
-                dr.scatter(found, value, target, sample.seen)
-            return total + 1
+    def values_of(sample: ViewSample, lobes: Any, view: Any) -> list[Any]:
+        place = read_camera(views, view), surface.position, surface.sides, sample.seen
+        ends = [mean_over_texel(views, *place, moved=move)[0] for move in moves]
+        slopes = [
+            (a - b) / (2 * step) for k in (0, 2) for a, b in zip(*ends[k : k + 2], strict=True)
+        ]
+        return [sample.cosine, *sample.radiance, *table.radiance(lobes, surface.lane), *slopes]
 
-        return (dr.if_stmt((total,), visibility.needs_work(sample.seen), add, lambda t: t),)
-
-    (total,) = visibility.over_views(views, surface, consume, (dr.zeros(mi.Float, count),))
-    dr.eval(total, found)
-    values_of = found.numpy().reshape(14, slots, count)
-    slot, lane = np.nonzero(values_of[0])
-    _, cosine, *parts = values_of[:, slot, lane].astype(np.float64)
+    view, lane, (cosine, *parts) = collect_samples(observed, model, 13, values_of)
     radiance, predicted, right, down = np.reshape(parts, (4, 3, -1)).swapaxes(1, 2)
     return GradientSamples(
-        visibility.order.numpy()[slot].astype(np.int64), lane, cosine, predicted - radiance,
-        radiance, np.stack([right, down], axis=1),
-    )  # fmt: skip
+        view, lane, cosine, predicted - radiance, radiance, np.stack([right, down], axis=1)
+    )
