@@ -75,7 +75,7 @@ class Refine(ResultCommand):
 
 def _run(folder: Path) -> str:
     """Return the run that wrote the photographs, which the copy must name; empty if unknown."""
-    runs = (read_header(path).attributes.get(RUN, "") for path in sorted(folder.glob("*.exr")))
+    runs = (read_header(path).attributes.get(RUN) for path in sorted(folder.glob("*.exr")))
     return str(next(filter(None, runs), ""))
 
 
@@ -96,10 +96,9 @@ def _write(folder: Path, refined: Capture, place: Claim) -> None:
     with writing(place, "refine", capture_folder.FILE, run=run) as draft:
         for path in sorted(folder.iterdir()):
             hidden = path.name.startswith(".") or is_kept(path.name)
-            if path.is_dir() and not hidden:
-                shutil.copytree(path, draft.folder / path.name)
-            elif path.is_file() and not hidden and path.name != capture_folder.FILE:
-                shutil.copyfile(path, draft.folder / path.name)
+            if not hidden and path.name != capture_folder.FILE:
+                copy = shutil.copytree if path.is_dir() else shutil.copyfile
+                copy(path, draft.folder / path.name)
         scene = description.scene
         if scene is not None and scene.is_relative_to(folder.resolve()):
             scene = draft.folder.resolve() / scene.relative_to(folder.resolve())

@@ -64,10 +64,9 @@ def _pixel(size: tuple[int, ...]) -> float:
 def _outline(trace: Trace, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
     """Return the mesh's outline: points and outward normals (N, 2) pixels, world points (N, 3)."""
     step = _pixel(size)
-    columns, rows = (int(side / step) for side in size)
-    x, y = np.meshgrid(*((np.arange(n) + 0.5) * step for n in (columns, rows)))
+    x, y = np.meshgrid(*((np.arange(int(side / step)) + 0.5) * step for side in size))
     distance, world = trace(x, y)
-    inside = np.isfinite(distance).reshape(rows, columns)
+    inside = np.isfinite(distance).reshape(x.shape)
     edge = inside & ~scipy.ndimage.binary_erosion(inside, border_value=1)
     down, right = np.gradient(scipy.ndimage.gaussian_filter(inside.astype(float), BLUR))
     points = np.stack([x[edge], y[edge]], axis=1)

@@ -190,5 +190,4 @@ def moved_pixels(before: Capture, after: Capture) -> np.ndarray:
 
 def _rms(values: np.ndarray) -> float:
     """Return the rms of finite values; NaN without any."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(np.square(known)))) if len(known) else np.nan
+    return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else np.nan
