@@ -7,6 +7,7 @@ one of its subclasses. Warnings derive from ``SvuWarning`` and use the ``warning
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from unicodedata import category
 
 CALLED = re.compile(r"^[\w.]+\(\): ")  # function name at the start of a message: "estimate(): "
@@ -83,6 +84,11 @@ def counted(number: float, noun: str) -> str:
 def are(number: int) -> str:
     """Return the verb of a number of things: ``is`` or ``are``."""
     return "is" if number == 1 else "are"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return words as text: ``a, b and c``."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 def printable(value: object) -> str:

@@ -106,22 +106,18 @@ def read(folder: Path) -> Description | None:
     with refusing(f"{path}: scene", "correct its path"):  # a circular link, a name too long
         scene = None if scene is None else Path(os.path.realpath(scene))
         _ = scene is None or scene.is_file()
-    written = Entry.parse(record.get(RESULT))
+    written, flash = Entry.parse(record.get(RESULT)), values["flash"]
     return Description(
         scene=scene,
         defines={key: str(value) for key, value in values["define"].items()},
         shape=values["shape"],
         exposures=tuple(values["exposure"]),
         sensors=tuple(values["sensors"]),
-        flash=None if values["flash"] is None else _flash(values["flash"]),
+        flash=flash and Flash(*(tuple(map(float, flash[name])) for name in FLASH)),  # type: ignore[arg-type]
         imported=values["import"],
         rendered=values["rendered"],
         run=written.run if written else "",
     )
-
-
-def _flash(values: Mapping[str, Sequence[float]]) -> Flash:
-    return Flash(*(tuple(map(float, values[name])) for name in FLASH))  # type: ignore[arg-type]
 
 
 def require_one_run(folder: Path, runs: Mapping[Path, str], run: str) -> None:

@@ -75,7 +75,7 @@ class ImageFile:
         """Read the pixels like ``planes``, but without conversion of integers."""
         with _readable(self.path):
             values = FORMATS[self.format].read(self.path, self.header)
-        planes = values if isinstance(values, list) else list(np.moveaxis(values, 2, 0))
+        planes = values if isinstance(values, list) else [*np.moveaxis(np.atleast_3d(values), 2, 0)]
         if planes[0].shape != self.header.size[::-1]:
             raise CaptureError(f"{self.path}: changed while it was being read; read it again.")
         planes = planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:]

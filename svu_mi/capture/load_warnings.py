@@ -19,7 +19,7 @@ from svu_mi.capture.photographs import Photograph
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.capture.surroundings import NESTED, reflecting_shapes
 from svu_mi.core.arrays import evenly_spaced, to_drjit
-from svu_mi.errors import CaptureError, are, counted, excerpt
+from svu_mi.errors import CaptureError, are, counted, excerpt, listed
 
 NAMED = 3  # photographs that a message lists by name
 FEWEST_FOR_LIGHT = 4  # views of a texel needed to estimate light or gains: it has 5 unknowns
@@ -144,16 +144,16 @@ def unsupported(
         )
     if features := list(dict.fromkeys(found)):
         notes.append(
-            f"Shape '{excerpt(target.id())}' has {_listed(features)}, {UNMODELLED}: if the "
+            f"Shape '{excerpt(target.id())}' has {listed(features)}, {UNMODELLED}: if the "
             "photographs show that, roughness and base colour will be off."
         )
     if cloudy := [_name(shape) for shape in scene.shapes() if shape.is_medium_transition()]:
         notes.append(
-            f"Light is scattered in the medium of {_listed(cloudy)}, {UNMODELLED}: if the "
+            f"Light is scattered in the medium of {listed(cloudy)}, {UNMODELLED}: if the "
             "photographs show that, roughness and base colour will be off."
         )
     if bright := [_name(shape) for shape in reflecting_shapes(scene, target)]:
-        names = _listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
+        names = listed(bright if len(bright) <= SHAPES else [*bright[:SHAPES], "others"])
         notes.append(
             f"Light reflected by {names} falls on '{excerpt(target.id())}': the presets default "
             "and fixed account for it, but not other presets, svu light, and the comparisons of "
@@ -199,10 +199,6 @@ def _of_material(bsdf: Any) -> Iterator[str]:
 
 def _name(shape: Any) -> str:
     return f"'{excerpt(shape.id())}'" if shape.id() else f"without an id ({shape.class_name()})"
-
-
-def _listed(words: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def warn_of_back_faces(scene: Any, shape: Any, sensors: Sequence[Any]) -> list[str]:

@@ -28,12 +28,7 @@ from svu_mi.capture.mesh import arrays, chart_coverage, has_uvs
 from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.photographs import open_photographs, read_photographs
 from svu_mi.capture.pixel_buffer import room_for_photographs
-from svu_mi.capture.scene import (
-    find_light,
-    find_sensors,
-    load_scene,
-    require_variant,
-)
+from svu_mi.capture.scene import find_light, find_sensors, load_scene, require_variant
 from svu_mi.capture.sensors import film_size
 from svu_mi.capture.target import SceneTarget, find_target
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached

@@ -53,11 +53,12 @@ def crosses_of(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(b - a, c - a)
 
 
-def chart_areas(uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the areas (F,) of triangles in texture space."""
+def chart_areas(uvs: np.ndarray, faces: np.ndarray, *, signed: bool = False) -> np.ndarray:
+    """Return the areas (F,) of triangles in texture space; if ``signed``, mirrored ones are > 0."""
     a, b, c = (uvs[faces[:, corner]] for corner in range(3))
     (u, v), (s, t) = (b - a).T, (c - a).T
-    return np.asarray(np.abs(u * t - v * s) / 2)
+    area = (u * t - v * s) / 2
+    return area if signed else np.abs(area)
 
 
 def unit_vectors(vectors: np.ndarray) -> np.ndarray:
@@ -137,14 +138,16 @@ def check_buffers(mesh: MeshArrays, label: str, error: type[SvuError], largest: 
         })  # fmt: skip
 
 
-def read_ply(path: Path) -> MeshArrays:
-    """Read a PLY file without its vertex normals."""
-    try:
-        loaded: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
-    except READING as error:
-        raise MeshError(f"{path}: cannot be read: {mesh_error(error)}") from error
-    if problem := missing_corner(loaded):
-        raise MeshError(f"{path}: {problem}")
+def read_ply(path: Path, *, smooth: bool = False) -> MeshArrays:
+    """Read a PLY file without its vertex normals, or with them if ``smooth``."""
+    # With missing corners, the computation of normals would abort the process.
+    for flat in (True, False) if smooth else (True,):
+        try:
+            loaded: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": flat})
+        except READING as error:
+            raise MeshError(f"{path}: cannot be read: {mesh_error(error)}") from error
+        if problem := missing_corner(loaded):
+            raise MeshError(f"{path}: {problem}")
     return arrays(loaded)
 
 

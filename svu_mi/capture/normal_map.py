@@ -7,7 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh import MeshArrays, chart_areas
 
 MAPS = {"NormalMap": "normalmap", "BumpMap": "bumpmap"}  # type in XML by class
 MIRRORED = 0.001  # share of the UV area from which tangents of glTF differ
@@ -57,7 +57,5 @@ def _children(parent: Any, kind: type) -> list[Any]:
 def mirrored_share(mesh: MeshArrays) -> float:
     """Return the share of UV area that shows a mirrored picture; V = 0 is its first row."""
     assert mesh.uvs is not None
-    a, b, c = (mesh.uvs[mesh.faces[:, k]] for k in range(3))
-    (u, v), (s, t) = (b - a).T, (c - a).T
-    area = u * t - v * s
+    area = chart_areas(mesh.uvs, mesh.faces, signed=True)
     return float(np.maximum(area, 0).sum() / max(np.abs(area).sum(), 1e-300))

@@ -133,9 +133,11 @@ def _read_photograph(
     clipped = None
     if channels.any():
         clipped = Saturation(channels, np.full(3, np.float32(least) / np.float32(exposure)))
-    rounding = _steps(picture)
+    # An import stores the steps of the integers that it has decoded.
+    steps = [_positive(picture, name) for name in (FIRST_STEP, LAST_STEP)]
     if bits:
-        rounding = Rounding.between(*quantization_steps(picture.transfer(), bits))
+        steps[:] = quantization_steps(picture.transfer(), bits)
+    rounding = None if None in steps else Rounding.between(*steps)  # type: ignore[arg-type]
     return Photograph(
         pixels=pixels, mask=None if mask is None else masked, invalid=invalid,
         marked=marked, saturated=saturated, bits=bits, black=black,
@@ -224,12 +226,6 @@ def _require_size(path: Path, size: Sequence[int], film: Sequence[int]) -> None:
             f"{path}: the photograph has {size[0]} x {size[1]} pixels but its sensor's film has "
             f"{film[0]} x {film[1]}; resample it, or set the film's size (or crop window)."
         )
-
-
-def _steps(picture: ImageFile) -> Rounding | None:
-    """Return quantisation steps stored by an import; None without any."""
-    first, last = (_positive(picture, name) for name in (FIRST_STEP, LAST_STEP))
-    return None if first is None or last is None else Rounding.between(first, last)
 
 
 def _positive(picture: ImageFile, name: str) -> float | None:

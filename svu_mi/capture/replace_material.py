@@ -63,10 +63,19 @@ def replace_material(capture: Capture, material: Any, mesh: Any = None) -> Repai
         material = mi.load_dict({"type": "twosided", "material": material})
     shape = make_mesh(capture.shape.id(), arrays(surface))
     shape.set_bsdf(material)
+    return RepaintedScene(scene=scene_around(shape, capture), shape=shape)
+
+
+def scene_around(shape: Any, capture: Capture) -> Any:
+    """Return the scene of a capture, without sensors and with ``shape`` as its object."""
     # Area lights are part of their shapes.
     lights = [e for e in capture.scene.emitters() if e.get_shape() is None]
-    others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
-    return RepaintedScene(scene=make_scene([shape, *lights, *others]), shape=shape)
+    return make_scene([shape, *lights, *other_shapes(capture.scene, capture.shape)])
+
+
+def other_shapes(scene: Any, target: Any) -> list[Any]:
+    """Return the shapes of a scene except the object."""
+    return [shape for shape in scene.shapes() if not is_same(shape, target)]
 
 
 def make_scene(objects: Sequence[Any]) -> Any:

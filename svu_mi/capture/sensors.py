@@ -88,6 +88,11 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
         raise CaptureError(f"{label}: Mitsuba rejects the sensor: {reason}") from error
 
 
+def changed_sensor(sensor: Any, **entries: Any) -> Any:
+    """Return a copy of a sensor with other ``entries`` of its description (see ``describe``)."""
+    return make_sensor({**describe(sensor), **entries}, sensor.id())
+
+
 def scaled_sensor(sensor: Any, side: int) -> Any:
     """Return a sensor with a film of at most ``side`` pixels in width and height.
 
@@ -100,10 +105,10 @@ def scaled_sensor(sensor: Any, side: int) -> Any:
 def resized_sensor(sensor: Any, scale: float) -> Any:
     """Return a sensor whose film's width and height are scaled."""
     record = describe(sensor)
-    for key in ("film", "crop_offset", "crop_size"):
-        low = 0 if key == "crop_offset" else 1
-        record[key] = [max(low, int(value * scale)) for value in record[key]]
-    return make_sensor(record, sensor.id())
+    lowest = {"film": 1, "crop_offset": 0, "crop_size": 1}
+    return changed_sensor(sensor, **{
+        key: [max(low, int(value * scale)) for value in record[key]] for key, low in lowest.items()
+    })  # fmt: skip
 
 
 def windowed_sensor(
@@ -118,13 +123,13 @@ def windowed_sensor(
         scale: New pixels per original pixel, along one side.
     """
     focal, center = focal_length(sensor) * scale, principal_point(sensor)
-    offset = [0.5 - (center[k] - corner[k]) * scale / size[k] for k in range(2)]
-    record = describe(sensor) | {
-        "x_fov": float(2 * np.degrees(np.arctan(size[0] / 2 / focal))),
-        "principal_point_offset": offset,
-        "film": list(size), "crop_offset": [0, 0], "crop_size": list(size),
-    }  # fmt: skip
-    return make_sensor(record, sensor.id())
+    return changed_sensor(
+        sensor, x_fov=float(2 * np.degrees(np.arctan(size[0] / 2 / focal))),
+        principal_point_offset=[
+            0.5 - (center[k] - corner[k]) * scale / size[k] for k in range(2)
+        ],
+        film=list(size), crop_offset=[0, 0], crop_size=list(size),
+    )  # fmt: skip
 
 
 def focal_length(sensor: Any) -> float:
@@ -185,18 +190,23 @@ def sphere_sensors(
         raise OptionError(f"The distance from the object must be positive, got {distance}.")
     wide = max(1.0, resolution[0] / resolution[1])
     x_fov = 2 * np.degrees(np.arctan(np.tan(np.radians(fov) / 2) * wide))
-    record = {
-        "x_fov": x_fov, "principal_point_offset": [0.0, 0.0],
-        "clip": [distance * 1e-2, distance * 1e2], "film": resolution, "crop_offset": [0, 0],
-        "crop_size": resolution,
-    }  # fmt: skip
-    poses = [
-        _look_at(center + distance * direction, center, up)
-        for direction in fibonacci(count, lowest, start=0.5)[:, ::-1] @ _rotation(up).T
-    ]
+    directions = fibonacci(count, lowest, start=0.5)[:, ::-1] @ _rotation(up).T
+    poses = [_look_at(center + distance * direction, center, up) for direction in directions]
     return tuple(
-        make_sensor(record | {"to_world": pose}, f"view_{k:04d}") for k, pose in enumerate(poses)
+        object_sensor(pose, float(x_fov), distance, resolution, f"view_{k:04d}")
+        for k, pose in enumerate(poses)
     )
+
+
+def object_sensor(
+    pose: np.ndarray, x_fov: float, distance: float, size: tuple[int, int], label: str
+) -> Any:
+    """Make a sensor with centred principal point, and clip planes for an object at a distance."""
+    return make_sensor({
+        "to_world": pose, "x_fov": x_fov, "principal_point_offset": [0.0, 0.0],
+        "clip": [distance * 1e-2, distance * 1e2], "film": size, "crop_offset": [0, 0],
+        "crop_size": size,
+    }, label)  # fmt: skip
 
 
 def sensors_like(

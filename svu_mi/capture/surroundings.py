@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
-from svu_mi.capture.replace_material import is_same, make_scene
+from svu_mi.capture.replace_material import other_shapes, scene_around
 
 BLACK = 0.05  # largest reflectance of black cloth, paper or paint
 HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
@@ -50,11 +50,6 @@ def reflecting_shapes(scene: Any, target: Any) -> list[Any]:
     return [s for s in others if _extent(s, target) > SMALL and not is_black(s.bsdf())]
 
 
-def other_shapes(scene: Any, target: Any) -> list[Any]:
-    """Return the shapes of a scene except the object."""
-    return [shape for shape in scene.shapes() if not is_same(shape, target)]
-
-
 def path_length(scene: Any) -> int:
     """Return the maximum path length of a scene's integrator (-1: unlimited)."""
     integrator = scene.integrator()
@@ -69,8 +64,7 @@ def path_length(scene: Any) -> int:
 def surroundings(capture: Capture, appearance: Appearance | None) -> tuple[Any, Any]:
     """Return the scene with the object as photographed (None: black), and an integrator for it."""
     shape = _object(arrays(capture.mesh), appearance)
-    lights = [e for e in capture.scene.emitters() if e.get_shape() is None]
-    scene = make_scene([shape, *lights, *other_shapes(capture.scene, capture.shape)])
+    scene = scene_around(shape, capture)
     reflects = bool(reflecting_shapes(capture.scene, capture.shape))
     reflects |= appearance is not None and bool(appearance.unseen.any())
     length = path_length(capture.scene) if reflects else 1

@@ -140,7 +140,8 @@ def _matches(shapes: Sequence[Any], word: str) -> list[int]:
     if named:
         return named
     if word == LARGEST:
-        areas = {k: _area(shape) for k, shape in enumerate(shapes) if _has_principled(shape)}
+        painted = [k for k, shape in enumerate(shapes) if _has_principled(shape)]
+        areas = {k: float(np.array(shapes[k].surface_area()).ravel()[0]) for k in painted}
         return [max(areas, key=lambda k: areas[k])] if areas else []
     painted = [k for k, s in enumerate(shapes) if word and s.bsdf() and s.bsdf().id() == word]
     if painted:
@@ -168,10 +169,6 @@ def _listed(shapes: Sequence[Any], some: Sequence[Any]) -> str:
 
 def _has_principled(shape: Any) -> bool:
     return shape.bsdf() is not None and "Principled" in str(shape.bsdf())
-
-
-def _area(shape: Any) -> float:
-    return float(np.array(shape.surface_area()).ravel()[0])
 
 
 def _as_arrays(shape: Any, label: str) -> MeshArrays:

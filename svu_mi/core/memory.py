@@ -312,9 +312,12 @@ def _giga(size: float) -> str:
 
 def free_memory() -> int | None:
     """Return the free memory in bytes, within the limits of this process; None if unknown."""
-    own = [max(size - _own_memory(), 0) for size in _allowed]
-    known = [size for size in (_available(), *_group_rooms(), *own) if size is not None]
-    return min(known, default=None)
+    anonymous = held("RssAnon")  # without file pages
+    used = resident() if anonymous is None else anonymous
+    there = _field(MEMINFO, "MemAvailable", 1024)
+    there = physical_memory() if there is None else there
+    own = [max(size - used, 0) for size in _allowed]
+    return min((size for size in (there, *_group_rooms(), *own) if size is not None), default=None)
 
 
 def allow(size: int) -> None:
@@ -341,17 +344,6 @@ def held(name: str) -> int | None:
     Unlike ``getrusage``, it excludes the peak of the parent process.
     """
     return _field(PROCESS / "status", name, 1024)
-
-
-def _own_memory() -> int:
-    """Return the resident memory of this process in bytes, excluding file pages."""
-    anonymous = held("RssAnon")
-    return resident() if anonymous is None else anonymous
-
-
-def _available() -> int | None:
-    free = _field(MEMINFO, "MemAvailable", 1024)
-    return physical_memory() if free is None else free
 
 
 def physical_memory() -> int | None:

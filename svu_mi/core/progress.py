@@ -111,7 +111,8 @@ class Progress:
         if self._console is None or self._live:
             yield Stage()
             return
-        if not _can_redraw(self._console):
+        is_dumb = self._console.is_dumb_terminal or not self._console.is_terminal
+        if is_dumb and not self._console.is_jupyter:
             yield Stage(say=lambda text: self.say(f"{name}: {text}"))
             return
         self._live = True
@@ -120,10 +121,6 @@ class Progress:
                 yield Stage(bar, bar.add_task(printable(name), total=total, state=None))
         finally:
             self._live = False
-
-
-def _can_redraw(console: Console) -> bool:
-    return (console.is_terminal and not console.is_dumb_terminal) or console.is_jupyter
 
 
 def _bar(console: Console, is_first_run: bool) -> Any:

@@ -82,19 +82,15 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
 
     ``what`` (a plural) is the subject of the message, and ``fix`` its remedy.
     """
-    known = [free_memory(), _free_address_space()]
+    known = [free_memory()]
+    if (space := address_space()) is not None:
+        known.append(max(space[0] - space[1], 0))
     free = min((room for room in known if room is not None), default=None)
     if free is not None and size > free:
         raise error(
             f"{what} take at least {size / GIGA:.3g} GB of memory, but only {free / GIGA:.3g} GB "
             f"are free; {fix}."
         )
-
-
-def _free_address_space() -> int | None:
-    """Return the bytes of unused address space; None without a limit."""
-    space = address_space()
-    return None if space is None else max(space[0] - space[1], 0)
 
 
 def require_texels(resolution: Size, option: str) -> None:

@@ -40,7 +40,9 @@ def draw_directions(
     frame = viewing_frame(np.array(up, np.float64), used[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
     gains, reachable = factor * guidance.scores, guidance.candidates.reachable
-    drawn = style.scalar_mappable(color_range(gains[reachable]))
+    low, high = float(np.quantile(gains[reachable], WORST)), float(gains[reachable].max())
+    limits = (low, high) if high > low else (low - 1e-6, low + 1e-6)
+    drawn = style.scalar_mappable(limits)
     _graticule(axes)
     width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
     # Dot size at which evenly spread dots do not touch.
@@ -112,9 +114,3 @@ def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: f
         x, y, str(rank), size=9.5, weight="bold", color=ink, ha="center", va="center_baseline",
         zorder=5, **options,
     )  # fmt: skip
-
-
-def color_range(gains: np.ndarray) -> tuple[float, float]:
-    """Return the limits of the colour scale, clipping the lowest outliers."""
-    low, high = float(np.quantile(gains, WORST)), float(gains.max())
-    return (low, high) if high > low else (low - 1e-6, low + 1e-6)

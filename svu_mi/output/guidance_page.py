@@ -21,14 +21,12 @@ from svu_mi.output.direction_map import draw_directions, draw_numbered
 from svu_mi.output.html import grouped
 from svu_mi.output.object_views import UP
 from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
-from svu_mi.output.style import INFORMATION_GAIN_COLORS, INK, LEFT, MARK, RIGHT, RULE, UNSEEN, Block
+from svu_mi.output.style import INK, LEFT, MARK, RIGHT, RULE, UNSEEN, Block, Panel
 from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
-
-    from svu_mi.output.style import Panel
 
 SIZE = (18.0, 11.2)  # inches
 HEADING = "Proposed views for the next photographs"
@@ -208,23 +206,13 @@ def information_gain_limit(maps: np.ndarray) -> float:
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
 
-def information_gain_picture(
-    capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
-) -> np.ndarray:
-    """Render the information gain from a proposed camera, (h, w, 4); grey where it is 0.
-
-    ``maps`` (proposals, T) is ``Guidance.gain_maps()``; all proposals share its colour scale.
-    """
-    look = ObjectView.at(object_only_scene(capture), _enlarged(guidance.proposals[proposal].sensor))
-    return information_gain_pictures(
-        [look], guidance, maps[proposal : proposal + 1], information_gain_limit(maps)
-    )[0]
-
-
 def information_gain_pictures(
     looks: Sequence[ObjectView], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
-    """Render information gains from proposed cameras (see ``information_gain_picture``)."""
+    """Render information gains (proposals, T) from proposed cameras, (h, w, 4); grey where 0.
+
+    ``limit`` is the gain at the upper end of the colours.
+    """
     everywhere, scale = fully_seen(guidance.texels), information_gain_colors()
     return [
         look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
@@ -236,7 +224,7 @@ def information_gain_colors() -> Colormap:
     """Return the colormap of information gains; 0 is grey."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("gain", INFORMATION_GAIN_COLORS)
+    return LinearSegmentedColormap.from_list("gain", style.INFORMATION_GAIN_COLORS)
 
 
 def _enlarged(sensor: Any) -> Any:

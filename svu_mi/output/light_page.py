@@ -31,14 +31,12 @@ from svu_mi.output import object_views, style
 from svu_mi.output.interval_summary import plain_percent
 from svu_mi.output.rerender import compare_renders
 from svu_mi.output.run_record import RunInfo, environment_record, inputs_record, write_manifest
-from svu_mi.output.style import LEFT, RIGHT, Block
+from svu_mi.output.style import LEFT, RIGHT, Block, Panel
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.svbrdf_textures import Textures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from svu_mi.output.style import Panel
 
 PAGE = "light.png"
 HEADING = "Light estimated from the photographs"

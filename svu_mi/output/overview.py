@@ -11,22 +11,17 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import ObjectView, object_only_scene
+from svu_mi.errors import counted
 from svu_mi.output import object_views, style
-from svu_mi.output.estimate_arrays import (
-    EstimateArrays,
-    known_values,
-    label_of,
-)
+from svu_mi.output.estimate_arrays import EstimateArrays, known_values, label_of
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import IntervalSummary, plain_percent
 from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
-from svu_mi.output.style import LEFT, RIGHT, RULE, Block
+from svu_mi.output.style import LEFT, RIGHT, RULE, Block, Panel
 from svu_mi.posterior.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from svu_mi.output.style import Panel
 
 SIZE = (16.0, 10.2)  # inches
 HEADING = "Uncertainty of the reflectance"
@@ -128,7 +123,8 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
     style.minimal_axes(axes)
     edges, values = np.linspace(0, 1, BINS + 1), result.entropy[result.seen]
     if len(values) == 0:
-        _note_nothing_seen(axes)
+        axes.set(xlim=(0, 1), yticks=[])
+        style.write_centered(axes, "no texel seen")
         return
     part = np.histogram(values, edges)[0] / len(values) * 100
     centers = (edges[1:] + edges[:-1]) / 2
@@ -145,7 +141,7 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
     style.labels(axes, style.ENTROPY_ENDS, "% of texels")
     if part[-1] >= 100 * FULL:
         views = np.median(result.coverage[result.seen][values >= edges[-2]])
-        seen = f"{views:g} photograph" + ("s" if views != 1 else "")
+        seen = counted(views, "photograph")
         text = f"last bar: {part[-1]:.0f} % of texels; median of {seen} each"
         axes.set_title(text, loc="right", y=1.0, size=style.TEXT, color=style.FAINT, pad=6)
 
@@ -173,8 +169,3 @@ def _hatch(axes: Axes, result: Any, legend: bool = True) -> None:
             axes, handles=key, loc="lower right", bbox_to_anchor=(1.015, 0.985), ncol=len(key),
             handlelength=1.4, columnspacing=1.2,
         )  # fmt: skip
-
-
-def _note_nothing_seen(axes: Axes) -> None:
-    axes.set(xlim=(0, 1), yticks=[])
-    style.write_centered(axes, "no texel seen")

@@ -11,13 +11,14 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb
+from svu_mi.errors import counted
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import is_seen, label_of, texel_areas
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import area_share, plain_percent
 from svu_mi.output.panels import draw_look, draw_scaled_map, fully_seen, map_colors
 from svu_mi.output.rerender import SIDE, WORST, RenderComparison
-from svu_mi.output.style import GREY, LEFT, OUTSIDE, RIGHT, VIEWS_COLORMAP, Block
+from svu_mi.output.style import GREY, LEFT, OUTSIDE, RIGHT, VIEWS_COLORMAP, Block, Panel
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.estimate import Estimate
@@ -26,8 +27,6 @@ from svu_mi.recovery.uncertainty.texture_field import TextureField
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from svu_mi.output.style import Panel
 
 SIZE = (18.0, 10.2)  # inches
 HEADING = "Reflectance recovered from the photographs"
@@ -78,7 +77,7 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
         *([] if estimate is None else [f"preset {estimate.preset.name}"]),
         f"difference: yellow from {WORST:g}, white unused",
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
-        f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
+        counted(len(recovery.losses), "step"),
     ]
 
 
@@ -112,7 +111,9 @@ def _texture(axes: Axes, image: np.ndarray) -> None:
 def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
     """Draw a map with a colour bar; if ``estimate`` is None, write "not estimated"."""
     if estimate is None:
-        _empty(axes, "not estimated")
+        style.frame_map(axes)
+        axes.set_box_aspect(1)
+        style.write_centered(axes, "not estimated")
     else:
         draw_scaled_map(axes, estimate, **{"ticks": (0, 0.5, 1), **options})
 
@@ -143,9 +144,3 @@ def _other_panels(
         ("Entropy", partial(draw_look, look=look, colors=map_colors(estimate))),
         ("Coverage", partial(draw_look, look=look, colors=views)),
     ]  # fmt: skip
-
-
-def _empty(axes: Axes, text: str) -> None:
-    style.frame_map(axes)
-    axes.set_box_aspect(1)
-    style.write_centered(axes, text)

@@ -23,13 +23,11 @@ from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import object_views, style
 from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
-from svu_mi.output.style import VIEWS_COLORMAP, Block
+from svu_mi.output.style import VIEWS_COLORMAP, Block, Panel
 from svu_mi.recovery.relighting import RelitView
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from svu_mi.output.style import Panel
 
 PAGE = "relight.png"
 HEADING = "Relit object, with standard deviations"

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-    Panel = tuple[str, Callable[[Axes], Any]]  # title, function that draws into axes
-
+Panel = tuple[str, Callable[[Any], Any]]  # title, function that draws into axes
 DPI = 100
 LEFT, RIGHT = 0.018, 0.985  # margins of a page
 COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"

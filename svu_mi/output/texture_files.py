@@ -16,7 +16,7 @@ from svu_mi.capture.content_hash import capture_key, mesh_key
 from svu_mi.capture.image_io import decoded, open_image
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.normal_map import normal_map
-from svu_mi.capture.replace_material import is_same, is_two_sided
+from svu_mi.capture.replace_material import is_same, is_two_sided, other_shapes
 from svu_mi.capture.surroundings import path_length
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
@@ -90,8 +90,8 @@ def write_scene(
         target.id(), arrays(capture.mesh), folder, two_sided=is_two_sided(target.bsdf()),
         layer=normal_map(target.bsdf()) if is_same(capture.mesh, target) else None,
     ))  # fmt: skip
-    others = [shape for shape in scene.shapes() if not is_same(shape, target)]
-    root.extend(scene_xml.shape(s, folder, f"{ASSETS}/other_{k}") for k, s in enumerate(others))
+    for number, other in enumerate(other_shapes(scene, target)):
+        root.append(scene_xml.shape(other, folder, f"{ASSETS}/other_{number}"))
     root.extend(map(scene_xml.sensor, capture.sensors, _sensor_ids(capture)))
     scene_xml.write_document(root, folder / SCENE)
     return folder / SCENE

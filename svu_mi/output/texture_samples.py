@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +18,10 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import label_of
 from svu_mi.output.panels import draw_look, fully_seen, map_colors
-from svu_mi.output.style import GREY, Block
+from svu_mi.output.style import GREY, Block, Panel
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.svbrdf_textures import Textures
-
-if TYPE_CHECKING:
-    from svu_mi.output.style import Panel
 
 FOLDER, SHEET = "draws", "draws.png"
 SHOWN = 6  # samples on the page

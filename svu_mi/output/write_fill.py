@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +23,12 @@ from svu_mi.output.html import percent
 from svu_mi.output.maps import padded_image, write_field
 from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
 from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
-from svu_mi.output.style import Block
+from svu_mi.output.style import Block, Panel
 from svu_mi.output.texture_files import write_scene
 from svu_mi.output.texture_samples import texture_colors
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.inpaint.fill_result import Filled, ModelReport
 from svu_mi.recovery.uncertainty.texture_field import TextureField
-
-if TYPE_CHECKING:
-    from svu_mi.output.style import Panel
 
 MASK, PAGE = "filled.exr", "filled.png"
 LIKE = "Uncertain texels, filled from similar ones"

@@ -29,13 +29,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.posterior.calibrated import CalibratedFit
 from svu_mi.posterior.calibrated_kernel import PosteriorSummary
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
-from svu_mi.posterior.prediction import (
-    CAUSES,
-    SIDES,
-    FoldTest,
-    HeldOutPrediction,
-    PartPrediction,
-)
+from svu_mi.posterior.prediction import CAUSES, SIDES, FoldTest, HeldOutPrediction, PartPrediction
 from svu_mi.statistics.cholesky_factors import Factors, stride
 
 

@@ -19,11 +19,7 @@ from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.light_visibility import SampleBits
 from svu_mi.parameters import MIXED, NAMES
-from svu_mi.reflection.mix_columns import (
-    Parts,
-    interpolate_radiance,
-    mixed_radiance,
-)
+from svu_mi.reflection.mix_columns import Parts, interpolate_radiance, mixed_radiance
 from svu_mi.reflection.principled import columns
 from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.reflection.roughness_levels import linear_weights

@@ -42,7 +42,7 @@ from support.image_files import (
 )
 
 from svu_mi.capture.crop import Window
-from svu_mi.capture.image_formats import camera_packages, recognition
+from svu_mi.capture.image_formats import image_header, recognition
 from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.convert_photographs import convert_photograph, photograph_notes
 from svu_mi.capture.importers.exposure_list import with_exif_gains
@@ -467,7 +467,7 @@ def test_raw_photographs_beside_their_developed_copies_are_left_out(tmp_path):
 
 
 def test_missing_extras_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(camera_packages.importlib, "import_module", _absent)
+    monkeypatch.setattr(image_header.importlib, "import_module", _absent)
     path = tmp_path / "a.heic"
     path.write_bytes(b"\0\0\0\x18ftypheic" + bytes(12))
     with pytest.raises(CaptureError, match=r"a.heic: .* pillow-heif; .*svu_mi\[camera\]"):

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from support.helpers import ball_scene, memory_capture
 
-from svu_mi.bench.correlation import (
-    Interval,
-    mean_over_objects,
-    pearson,
-    sparsification,
-    spearman,
-)
+from svu_mi.bench.correlation import Interval, mean_over_objects, pearson, sparsification, spearman
 from svu_mi.bench.credible_sets import credible_coverage, nearest_bins
 from svu_mi.bench.error_summary import error_summary
 from svu_mi.bench.image_metrics import image_error, ssim_map, texel_error, texture_psnr

@@ -7,13 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from light.test_near_light import texel_facing
-from support.helpers import (
-    memory_capture,
-    render_views,
-    require_equal_columns,
-    unit,
-    write_ball,
-)
+from support.helpers import memory_capture, render_views, require_equal_columns, unit, write_ball
 
 import svu_mi as svu
 from svu_mi.capture import scene_xml

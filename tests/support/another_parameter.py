@@ -13,11 +13,7 @@ from numpy.testing import assert_allclose
 
 from svu_mi.output.texture_files import write_textures
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
-from svu_mi.reflection.principled import (
-    columns,
-    diffuse_from_principled,
-    specular_from_principled,
-)
+from svu_mi.reflection.principled import columns, diffuse_from_principled, specular_from_principled
 from svu_mi.scenes import FOLDER
 from svu_mi.statistics.cholesky_factors import PAIRS
 from svu_mi.statistics.statistics import Statistics

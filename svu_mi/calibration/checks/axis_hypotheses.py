@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from itertools import product
 
 import mitsuba as mi
@@ -21,9 +21,9 @@ from svu_mi.capture.importers.axis_fixes import (
 )
 from svu_mi.capture.importers.source import OPENCV, OPENGL
 from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
-from svu_mi.capture.replace_material import is_same, make_scene
+from svu_mi.capture.replace_material import make_scene, other_shapes
 from svu_mi.capture.scene import environment_of, to_world
-from svu_mi.capture.sensors import affine, describe, make_sensor
+from svu_mi.capture.sensors import affine, changed_sensor
 from svu_mi.light.environment import read_environment
 from svu_mi.light.prefiltered import rasterized
 
@@ -87,9 +87,8 @@ def light_hypotheses() -> tuple[AxisHypothesis, ...]:
     queue = [AxisHypothesis()]
     by_rotation = {}
     for hypothesis in queue:  # grows during the loop: breadth-first search
-        key = (
-            fix_rotation(hypothesis.fixes, "light").astype(int).tobytes()
-        )  # entries are -1, 0 or 1
+        turn = fix_rotation(hypothesis.fixes, "light")
+        key = turn.astype(int).tobytes()  # entries are -1, 0 or 1
         if key not in by_rotation:
             by_rotation[key] = hypothesis
             queue += [AxisHypothesis((*hypothesis.fixes, fix)) for fix in _fixes_of("light")]
@@ -109,18 +108,14 @@ def apply_fixes(
             poses = np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
             poses = correct_poses(poses, fix, camera_axes)
             capture = replace(capture, sensors=tuple(
-                make_sensor({**describe(sensor), "to_world": pose.tolist()}, sensor.id())
+                changed_sensor(sensor, to_world=pose.tolist())
                 for sensor, pose in zip(capture.sensors, poses, strict=True)
             ))  # fmt: skip
+        elif fix.kind == "light":
+            capture = _with_turned_light(capture, fix)
         else:
-            correct = _with_turned_light if fix.kind == "light" else _with_corrected_mesh
-            capture = correct(capture, fix)
+            capture = with_changed_mesh(capture, partial(correct_mesh, fix=fix))
     return capture
-
-
-def _with_corrected_mesh(capture: Capture, fix: AxisFix) -> Capture:
-    """Return the capture with the mesh of the object corrected by ``fix``."""
-    return with_changed_mesh(capture, lambda mesh: correct_mesh(mesh, fix))
 
 
 def with_changed_mesh(capture: Capture, change: Callable[[MeshArrays], MeshArrays]) -> Capture:
@@ -130,7 +125,7 @@ def with_changed_mesh(capture: Capture, change: Callable[[MeshArrays], MeshArray
     mesh = shape
     if capture.mesh is not capture.shape:
         mesh = make_mesh(capture.mesh.id(), change(arrays(capture.mesh)))
-    others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
+    others = other_shapes(capture.scene, capture.shape)
     scene = make_scene([shape, *capture.scene.emitters(), *others])
     return replace(capture, shape=shape, mesh=mesh, scene=scene)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.calibration.checks import decisions, exposure_checks
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
-from svu_mi.calibration.checks.check_result import Check, Finding
+from svu_mi.calibration.checks.check_result import Check, Finding, Question, Verdict
 from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
 from svu_mi.calibration.checks.light_sources import light_shares, sentence
 from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity, fit_masks
@@ -48,9 +48,8 @@ from svu_mi.capture.load_warnings import (
 )
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.mesh_scale import wrong_scale
-from svu_mi.capture.replace_material import is_same
+from svu_mi.capture.replace_material import is_same, other_shapes
 from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
-from svu_mi.capture.surroundings import other_shapes
 from svu_mi.capture.up_direction import is_seen_from_above
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError
@@ -103,11 +102,14 @@ def check(
         gain = _gain_finding(capture, small, gains)
     over = () if _axes_are_off(axial) else _saturated(capture, small)
     sources = () if _axes_are_off(axial) else _sources(capture, small)
-    if axial[1].verdict == "fits" and _may_stand_on_something(capture):
+    is_alone = not other_shapes(capture.scene, capture.shape)
+    if axial[1].verdict == "fits" and is_alone and is_seen_from_above(capture):
         with progress.stage("Testing light from below"):
             sources = _missing(small, exposure_checks.unit_of(capture, small)) or sources
-    cameras = () if _axes_are_off(axial) else _cameras(capture)
-    findings = (*axial, *cameras, gain, *_too_few(capture), *over, *sources, *_ignored(capture))
+    cameras = () if _axes_are_off(axial) else _findings("cameras", "note", outline_note(capture))
+    few = None if is_lit(capture) else too_few_for_light(sum(capture.used))
+    number = _findings("number", "unclear", few)
+    findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
@@ -260,27 +262,15 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     return decisions.decide_gains(excess, gains, names)
 
 
-def _cameras(capture: Capture) -> tuple[Finding, ...]:
-    """Return a note if masks show that cameras are slightly off, or an empty tuple."""
-    note = outline_note(capture)
-    return () if note is None else (Finding(question="cameras", verdict="note", sentence=note),)
-
-
-def _too_few(capture: Capture) -> tuple[Finding, ...]:
-    """Return a finding if there are too few photographs to estimate a light, or an empty tuple."""
-    sentence = too_few_for_light(sum(capture.used))
-    if sentence is None or is_lit(capture):
-        return ()
-    return (Finding(question="number", verdict="unclear", sentence=sentence),)
+def _findings(question: Question, verdict: Verdict, sentence: str | None) -> tuple[Finding, ...]:
+    """Return a finding, or an empty tuple without a sentence."""
+    return (Finding(question=question, verdict=verdict, sentence=sentence),) if sentence else ()
 
 
 def _saturated(capture: Capture, small: Capture) -> tuple[Finding, ...]:
     """Return a finding if much of the object is saturated, or an empty tuple."""
     share = exposure_checks.saturated_share(capture, small) if capture.clipped else 0.0
-    sentence = exposure_checks.saturation_sentence(share)
-    if sentence is None:
-        return ()
-    return (Finding(question="saturation", verdict="unclear", sentence=sentence),)
+    return _findings("saturation", "unclear", exposure_checks.saturation_sentence(share))
 
 
 def _sources(capture: Capture, small: Capture) -> tuple[Finding, ...]:
@@ -291,12 +281,7 @@ def _sources(capture: Capture, small: Capture) -> tuple[Finding, ...]:
     shown, known = sample_points(points, Thumbnails.of(small)).typical()
     shown *= np.where(known, exposure_checks.unit_of(capture, small), np.nan)[:, None]
     shares = light_shares(capture, points, shown)
-    return (Finding(question="sources", verdict="note", sentence=sentence(shares)),)
-
-
-def _may_stand_on_something(capture: Capture) -> bool:
-    """Return whether the scene has no other shape, and no camera is below the object."""
-    return not other_shapes(capture.scene, capture.shape) and is_seen_from_above(capture)
+    return _findings("sources", "note", sentence(shares))
 
 
 def _missing(small: Capture, unit: float) -> tuple[Finding, ...]:
@@ -309,12 +294,12 @@ def _missing(small: Capture, unit: float) -> tuple[Finding, ...]:
         return ()
     if found is None or found.cause != "surroundings":
         return ()
-    sentence = (
+    return _findings(
+        "sources", "unclear",
         "A shape that touches the lowest points of the object seems to be missing, such as a "
         "table: it shades the object or is mirrored in it. Add it to the scene, or import again "
-        "with --table 0 --table-albedo A."
-    )
-    return (Finding(question="sources", verdict="unclear", sentence=sentence),)
+        "with --table 0 --table-albedo A.",
+    )  # fmt: skip
 
 
 def _ignored(capture: Capture) -> tuple[Finding, ...]:
@@ -327,6 +312,4 @@ def _ignored(capture: Capture) -> tuple[Finding, ...]:
     description = None if capture.source is None else capture_folder.read(capture.source)
     said = description.imported.get("notes") if description else None
     notes += [n for n in said if str(n).endswith(LEFT_OUT)] if isinstance(said, list) else []
-    if not notes:
-        return ()
-    return (Finding(question="ignored", verdict="note", sentence=" ".join(notes)),)
+    return _findings("ignored", "note", " ".join(notes))

@@ -7,7 +7,6 @@ object has the photographed radiance of its nearest seen point.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
 
 import drjit as dr
 import mitsuba as mi
@@ -18,6 +17,7 @@ from svu_mi.calibration.checks.surface_samples import Points
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.surroundings import DIRECT, path_length, surroundings
 from svu_mi.core.arrays import to_drjit
+from svu_mi.errors import listed
 
 ENVIRONMENT, ITSELF = "the environment", "the object itself"
 RAYS = 64  # of each point, to emitters and to surfaces
@@ -89,13 +89,8 @@ def _nearest(points: Points, shown: np.ndarray, at: mi.Point3f, wanted: mi.Bool)
 
 def sentence(shares: dict[str, float]) -> str:
     """Return a sentence with all fractions of at least ``LEAST``."""
-    listed = [f"{100 * part:.0f} % from {name}" for name, part in shares.items() if part >= LEAST]
-    text = f"{_joined(listed)}."
+    parts = [f"{100 * part:.0f} % from {name}" for name, part in shares.items() if part >= LEAST]
+    text = f"{listed(parts)}."
     if shares.get(ITSELF, 0) >= BOUNCES:
         text += " Estimates include light of the object itself with --bounces only."
     return text
-
-
-def _joined(texts: Iterable[str]) -> str:
-    *most, last = texts
-    return f"{', '.join(most)} and {last}" if most else last

@@ -11,9 +11,8 @@ import numpy as np
 from svu_mi.calibration.checks.axis_hypotheses import with_changed_mesh
 from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.sensors import describe, focal_length, make_sensor, principal_point
+from svu_mi.capture.sensors import changed_sensor, focal_length, principal_point
 
 CLIP = np.array([1e-2, 1e2])  # clip planes, relative to the distance of the object
 ORIGIN = np.zeros(3)
@@ -33,15 +32,14 @@ class MeshSimilarity(NamedTuple):
 
     def apply(self, capture: Capture) -> Capture:
         """Return the capture with the mesh moved, and clip planes for it."""
-        moved = with_changed_mesh(capture, self._moved)
+        moved = with_changed_mesh(capture, lambda mesh: replace(
+            mesh, positions=self.scale * (mesh.positions - self.before) + self.after
+        ))  # fmt: skip
         center, sensors = np.array(moved.shape.bbox().center(), np.float64), []
         for sensor in capture.sensors:
             clip = CLIP * np.linalg.norm(to_world(sensor)[:3, 3] - center)
-            sensors.append(make_sensor({**describe(sensor), "clip": clip.tolist()}, sensor.id()))
+            sensors.append(changed_sensor(sensor, clip=clip.tolist()))
         return replace(moved, sensors=tuple(sensors))
-
-    def _moved(self, mesh: MeshArrays) -> MeshArrays:
-        return replace(mesh, positions=self.scale * (mesh.positions - self.before) + self.after)
 
     @property
     def sentence(self) -> str:

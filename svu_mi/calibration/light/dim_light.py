@@ -12,12 +12,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from svu_mi.calibration.light.light_transport import (
-    Columns,
-    SampleMoments,
-    Transport,
-    columns_of,
-)
+from svu_mi.calibration.light.light_transport import Columns, SampleMoments, Transport, columns_of
 from svu_mi.calibration.light.light_uncertainty import SHARPNESS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.presets import AngularPreset

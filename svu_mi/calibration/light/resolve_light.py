@@ -26,11 +26,7 @@ from svu_mi.calibration.light.light_folder import (
     save_light,
 )
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_summary import (
-    gain_sentences,
-    scale_sentence,
-    summary_sentences,
-)
+from svu_mi.calibration.light.light_summary import gain_sentences, scale_sentence, summary_sentences
 from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map

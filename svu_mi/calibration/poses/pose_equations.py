@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.sensors import affine, describe, focal_length, make_sensor
+from svu_mi.capture.sensors import affine, changed_sensor, focal_length
 
 WIDEST = np.array([np.radians(0.3)] * 3 + [np.radians(0.3)] * 3)  # first standard deviations
 
@@ -67,8 +67,7 @@ NOTHING = np.zeros((6, 6)), np.zeros(6)
 def moved_sensor(sensor: Any, motion: np.ndarray, distance: float) -> Any:
     """Return a sensor moved by a motion (6,)."""
     turn = affine(Rotation.from_rotvec(motion[:3]).as_matrix(), motion[3:] * distance)
-    return make_sensor({**describe(sensor), "to_world": (to_world(sensor) @ turn).tolist()},
-                       sensor.id())  # fmt: skip
+    return changed_sensor(sensor, to_world=(to_world(sensor) @ turn).tolist())
 
 
 def pixel_derivatives(sensor: Any, points: np.ndarray, distance: float) -> np.ndarray:

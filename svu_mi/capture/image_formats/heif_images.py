@@ -9,10 +9,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture.image_formats.camera_packages import required
 from svu_mi.capture.image_formats.color_space import ColorSpace, from_cicp
 from svu_mi.capture.image_formats.icc_profile import not_followed, read_profile
-from svu_mi.capture.image_formats.image_header import ORIENTATION, ImageHeader, without_warnings
+from svu_mi.capture.image_formats.image_header import (
+    ORIENTATION,
+    ImageHeader,
+    required,
+    without_warnings,
+)
 
 HEADER = 2**16  # bytes at the start that contain the properties
 
@@ -30,9 +34,9 @@ def open_avif(path: Path) -> ImageHeader:
 
 
 def read_avif(path: Path, _: ImageHeader) -> np.ndarray:
-    """Return (H, W, C) uint8."""
+    """Return (H, W) or (H, W, C) uint8."""
     with _avif(path) as image:
-        return _with_channels(np.array(image))
+        return np.array(image)
 
 
 def open_heic(path: Path) -> ImageHeader:
@@ -46,8 +50,8 @@ def open_heic(path: Path) -> ImageHeader:
 
 
 def read_heic(path: Path, _: ImageHeader) -> np.ndarray:
-    """Return (H, W, C) uint8 or uint16."""
-    return _with_channels(np.array(_heic(path)))
+    """Return (H, W) or (H, W, C) uint8 or uint16."""
+    return np.array(_heic(path))
 
 
 def _header(
@@ -76,7 +80,3 @@ def _avif(path: Path) -> Any:
 def _heic(path: Path) -> Any:
     heif = required("pillow_heif", path)
     return heif.open_heif(path, convert_hdr_to_8bit=False)
-
-
-def _with_channels(values: np.ndarray) -> np.ndarray:
-    return values[..., None] if values.ndim == 2 else values

@@ -46,7 +46,9 @@ def read_profile(data: bytes) -> ColorSpace:
         if len({tags[tag] for tag in CURVE_TAGS}) == 1:
             curve = _curve(tags[b"rTRC"], name)
         else:
-            curve = _joined([_curve(tags[tag], name) for tag in CURVE_TAGS], name)
+            curves = [_curve(tags[tag], name) for tag in CURVE_TAGS]
+            curve = sampled_curve(lambda x: np.stack(
+                [linearize(x, one, k) for k, one in enumerate(curves)], axis=1), name)  # fmt: skip
         return from_colorants(colorants / 2**16, name, curve)
     except (KeyError, IndexError, struct.error, OverflowError) as error:
         raise ValueError("it is damaged") from error
@@ -108,9 +110,3 @@ def _curve(tag: bytes, name: str) -> Transfer | SampledCurve:
     return sampled_curve(
         lambda x: np.where(x >= d, np.maximum(a * x + b, 0) ** g + e, c * x + f), name
     )
-
-
-def _joined(curves: list[Transfer | SampledCurve], name: str) -> Transfer | SampledCurve:
-    """Return the curves of three channels as one."""
-    return sampled_curve(lambda x: np.stack(
-        [linearize(x, curve, k) for k, curve in enumerate(curves)], axis=1), name)  # fmt: skip

@@ -1,13 +1,15 @@
-"""Properties of an image file, read before its pixels."""
+"""Properties of an image file, read before its pixels, and packages that read them."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from svu_mi.capture.image_formats.color_space import ColorSpace
 from svu_mi.core.io.files import may_hold
@@ -17,6 +19,17 @@ ORIENTATION = 0x0112  # EXIF tag
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may contain any number
 
 _silent = threading.Lock()  # warnings.catch_warnings is not thread-safe
+
+
+def required(name: str, path: Path) -> Any:
+    """Return a package of the extra ``camera``, which a file needs."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise CaptureError(
+            f"{path}: is read by the package {name.replace('_', '-')}; install it with: "
+            "pip install 'svu_mi[camera]'."
+        ) from error
 
 
 @contextlib.contextmanager

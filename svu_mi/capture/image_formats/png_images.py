@@ -47,9 +47,8 @@ def open_png(path: Path) -> ImageHeader:
 
 
 def read_png(path: Path, _: ImageHeader) -> np.ndarray:
-    """Return (H, W, C) uint8 or uint16."""
-    values = np.array(mi.Bitmap(str(path)))  # Pillow does not support 16-bit colours
-    return values[..., None] if values.ndim == 2 else values
+    """Return (H, W) or (H, W, C) uint8 or uint16."""
+    return np.array(mi.Bitmap(str(path)))  # Pillow does not support 16-bit colours
 
 
 def _chunks(path: Path) -> dict[bytes, bytes]:

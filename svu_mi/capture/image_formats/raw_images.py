@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.image_formats.camera_packages import required
 from svu_mi.capture.image_formats.color_space import REC_709, ColorSpace, rgb_to_xyz
-from svu_mi.capture.image_formats.image_header import ImageHeader, require_plausible
+from svu_mi.capture.image_formats.image_header import ImageHeader, require_plausible, required
 from svu_mi.core.silence_openexr import quiet
 
 ORIENTATION_OF_FLIP = {0: 1, 3: 3, 5: 8, 6: 6}  # EXIF orientation by LibRaw's flip

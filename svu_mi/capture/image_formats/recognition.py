@@ -23,7 +23,7 @@ class ImageFormat:
     Attributes:
         suffixes: usual suffixes, in lower case.
         open: reads the header.
-        read: reads the pixels as stored: (H, W, C), or C planes (H, W).
+        read: reads the pixels as stored: (H, W), (H, W, C), or C planes (H, W).
     """
 
     suffixes: tuple[str, ...]

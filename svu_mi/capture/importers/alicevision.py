@@ -18,12 +18,7 @@ import numpy as np
 
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENCV, Frame, Source
-from svu_mi.capture.importers.source_files import (
-    find_file,
-    find_folder,
-    find_mask,
-    substitutions,
-)
+from svu_mi.capture.importers.source_files import find_file, find_folder, find_mask, substitutions
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.files import read_json, refusing
 from svu_mi.core.io.schema import ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked

@@ -23,8 +23,9 @@ def duplicate_notes(frames: Sequence[Frame], root: str) -> Iterator[str]:
             "uncertainty is too small. Remove one of each."
         )
     if pair := _first(
-        frames, lambda frame: (frame.to_world.round(DIGITS) + 0.0).tobytes(), _others
-    ):
+        frames, lambda frame: (frame.to_world.round(DIGITS) + 0.0).tobytes(),
+        lambda one, other: not _same_photograph(one, other),
+    ):  # fmt: skip
         yield (
             f"{root}: {pair[2]} of {len(frames)} photographs {are(pair[2])} posed like another, "
             f"first {pair[0].image.name} and {pair[1].image.name}; if the camera moved between "
@@ -52,7 +53,3 @@ def _signature(path: Path) -> Hashable:
 def _same_photograph(one: Frame, other: Frame) -> bool:
     same = os.path.samefile(one.image, other.image)
     return same or filecmp.cmp(one.image, other.image, shallow=False)
-
-
-def _others(one: Frame, other: Frame) -> bool:
-    return not _same_photograph(one, other)

@@ -12,7 +12,7 @@ from typing import Any
 
 from PIL import Image
 
-from svu_mi.capture.image_formats.camera_packages import required
+from svu_mi.capture.image_formats.image_header import required
 from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.source import Frame
 from svu_mi.capture.importers.source_files import read_lines

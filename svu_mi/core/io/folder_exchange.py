@@ -65,7 +65,9 @@ def locked(target: Path, wait: float = 0) -> Iterator[Path]:
     descriptor = _acquire(draft, target, wait)
     own = draft.lstat()
     try:
-        _restore_older(target)
+        older = beside(target, OLDER)
+        if is_folder(older):  # with an unused name if there is a new folder
+            older.rename(unused_name(target) if os.path.lexists(target) else target)
         yield draft
     finally:
         if is_at(own, draft):  # else exchanged; another writer may use the name
@@ -185,13 +187,6 @@ def restore(folder: str | os.PathLike[str]) -> None:
     if not os.path.lexists(target) and is_folder(beside(target, OLDER)):
         with locked(target, wait=PATIENCE):
             pass
-
-
-def _restore_older(target: Path) -> None:
-    """Rename the older folder to its name, or to an unused name if a new folder exists."""
-    older = beside(target, OLDER)
-    if is_folder(older):
-        older.rename(unused_name(target) if os.path.lexists(target) else target)
 
 
 def unused_name(path: Path) -> Path:

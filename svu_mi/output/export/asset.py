@@ -94,21 +94,21 @@ class Asset:
     ) -> Asset:
         """Return an asset from results in memory; the estimate may have another resolution."""
         seen = recovery if estimate is None else estimate
-        entropy = (
-            None if estimate is None else padded_image(seen, np.array(estimate.entropy, np.float32))
-        )
+        entropy, deviations = None, {}
+        if estimate is not None:
+            entropy = padded_image(seen, np.array(estimate.entropy, np.float32))
+        if field is not None:
+            deviations = {
+                name: padded_image(field, largest_channel(field.sd(name)), fill=0)
+                for name in field.names
+            }
         return cls(
             name=capture.shape.id() or "object",
             mesh=arrays(capture.mesh),
             textures=recovery.textures,
             entropy=entropy,
             coverage=padded_image(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
-            deviations={}
-            if field is None
-            else {
-                name: padded_image(field, largest_channel(field.sd(name)), fill=0)
-                for name in field.names
-            },
+            deviations=deviations,
             normals=_normals_of(capture),
             two_sided=is_two_sided(capture.shape.bsdf()),
             up=nearest_axis(up_direction(capture)),

@@ -5,15 +5,12 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
-import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
+from svu_mi.capture.mesh import MeshArrays, read_ply
 from svu_mi.capture.plugin_security import pin_own_plugins
-from svu_mi.capture.scene import last_sentence
 from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.io.exr import read_exr, read_header
 from svu_mi.core.io.files import refusing
@@ -171,12 +168,7 @@ def _read_mesh(path: Path, smooth: bool) -> MeshArrays:
     if smooth and b" nx\n" not in header.replace(b"\r", b""):
         raise MeshError(f"{path}: has no vertex normals (nx, ny, nz); run svu recover again.")
     pin_own_plugins()
-    read_ply(path)  # checks the indices of faces
-    try:
-        mesh: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": not smooth})
-    except RuntimeError as error:
-        raise MeshError(f"{path}: cannot be read: {last_sentence(str(error))}") from error
-    return arrays(mesh)
+    return read_ply(path, smooth=smooth)
 
 
 def _read_deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:

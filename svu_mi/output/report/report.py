@@ -19,13 +19,7 @@ from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
 from svu_mi.errors import counted
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import (
-    EstimateArrays,
-    is_seen,
-    known_values,
-    label_of,
-    open_axes,
-)
+from svu_mi.output.estimate_arrays import EstimateArrays, is_seen, known_values, label_of, open_axes
 from svu_mi.output.html import NARROW_SPACE, grouped, page_of, percent
 from svu_mi.output.interval_summary import (
     Intervals,

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.sensors import bounding_sphere, film_size, make_sensor, projected
+from svu_mi.capture.sensors import bounding_sphere, film_size, object_sensor, projected
 from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import to_drjit
@@ -55,11 +55,8 @@ class Turntable:
             horizontal = np.cos(turn) * front + np.sin(turn) * right
             origin = center + distance * (np.cos(high) * horizontal + np.sin(high) * up)
             pose = mi.ScalarTransform4f().look_at(list(origin), list(center), list(up))
-            sensors.append(make_sensor({
-                "to_world": np.array(pose.matrix, np.float64), "x_fov": FOV,
-                "principal_point_offset": [0, 0], "clip": [distance * 1e-2, distance * 1e2],
-                "film": [side, side], "crop_offset": [0, 0], "crop_size": [side, side],
-            }, "turntable"))  # fmt: skip
+            matrix = np.array(pose.matrix, np.float64)
+            sensors.append(object_sensor(matrix, FOV, distance, (side, side), "turntable"))
         points = arrays(capture.mesh).positions
         places = np.concatenate([_places(points, sensor) for sensor in sensors])
         (left, top), (right, bottom) = places.min(axis=0) - BORDER, places.max(axis=0) + BORDER

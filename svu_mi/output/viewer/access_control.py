@@ -56,10 +56,6 @@ class Guard:
             and all(origin == f"http://{hosts[0]}" for origin in origins)
         )
 
-    def without_secret(self, path: str) -> str:
-        """Return the path without the secret."""
-        return "/" + path.removeprefix(f"/{self.secret}").removeprefix("/")
-
     def process_request(self, then: Callable[..., Any] | None) -> Callable[..., Any]:
         """Return a callback of ``websockets`` that refuses a request or passes it to ``then``."""
 
@@ -70,7 +66,8 @@ class Guard:
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL)
             if then is None:
                 return None
-            response = then(connection, replace(request, path=self.without_secret(request.path)))
+            path = "/" + request.path.removeprefix(f"/{self.secret}").removeprefix("/")
+            response = then(connection, replace(request, path=path))
             if response is not None:
                 response.headers.update(PRIVATE)
             return response
@@ -163,7 +160,7 @@ def serve(port: int) -> tuple[Any, str]:
     # Browsers that disconnect would otherwise be logged as errors.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     guard = Guard()
-    with _silence(), guard.installed():
+    with contextlib.redirect_stdout(io.StringIO()), guard.installed():
         server = viser.ViserServer(host=HOST, port=port, label="svu view", verbose=False)
     if not is_closed(server.get_port()):
         stop(server)
@@ -176,12 +173,5 @@ def serve(port: int) -> tuple[Any, str]:
 
 def stop(server: Any) -> None:
     """Stop a server and its threads."""
-    with _silence():
-        server.stop()
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """Suppress viser's output."""
     with contextlib.redirect_stdout(io.StringIO()):
-        yield
+        server.stop()

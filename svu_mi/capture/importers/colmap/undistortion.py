@@ -20,13 +20,7 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture.image_io import open_image, quantized
-from svu_mi.capture.importers.colmap.project import (
-    IMAGES,
-    MASKS,
-    project_notes,
-    read,
-    read_project,
-)
+from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, project_notes, read, read_project
 from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, read_model, write_model
 from svu_mi.capture.importers.resampling import undistorted_frame
 from svu_mi.capture.importers.source import Frame, Source
