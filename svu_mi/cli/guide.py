@@ -246,7 +246,8 @@ def _print(
     for rank, (proposal, name) in enumerate(zip(guidance.proposals, names, strict=True), 1):
         table.add_row(
             str(rank), str(proposal.candidate),
-            *map(format_number, (proposal.gain, proposal.error, proposal.entropy), (4, 4, 3)),
+            format_number(proposal.gain, 4), f"{proposal.error:.1g}",
+            format_number(proposal.entropy, 3),
             f"{proposal.sees:.0%}", f"{proposal.new:.0%}", name,
         )  # fmt: skip
     seen = np.array(estimate.coverage) > 0

@@ -13,6 +13,7 @@ import numpy as np
 
 from svu_mi.calibration.light.light_estimate import LightEstimate
 from svu_mi.calibration.light.resolve_light import with_light
+from svu_mi.capture.capture import LightUncertainty
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import texel_squares
 from svu_mi.parameters import MIXED
@@ -53,13 +54,16 @@ def scaled_by_mean(light: LightEstimate, observed: Observed, albedo: float) -> L
         mean = np.average(_base_color(result, "mean").mean(axis=1), weights=area)
         return np.asarray(mean / albedo)
 
-    return _scaled(light, observed, excess)
+    return _scaled(light, observed, excess)[0]
 
 
 def scaled_by_card(
     light: LightEstimate, observed: Observed, uv: tuple[float, float], albedo: float
 ) -> LightEstimate:
     """Scale light per channel until a grey spot has a given base colour.
+
+    The scale stays as uncertain as the spot: its texels share views and light, so that their
+    errors do not average out, and they differ at an edge.
 
     Args:
         light: Estimated light.
@@ -71,11 +75,20 @@ def scaled_by_card(
     chosen = _texels_at(observed, uv)
 
     def excess(result: Estimate) -> np.ndarray:
-        mean, sd = (_base_color(result, what)[chosen] for what in ("mean", "sd"))
-        weight = 1 / np.maximum(sd, SHARPEST) ** 2
-        return np.asarray((weight * mean).sum(axis=0) / weight.sum(axis=0) / albedo)
+        return _spot(result, chosen)[0] / albedo
 
-    return _scaled(light, observed, excess, dict.fromkeys(MIXED, 0.0))
+    scaled, result = _scaled(light, observed, excess, dict.fromkeys(MIXED, 0.0))
+    mean, sd = _spot(result, chosen)
+    return scaled.with_scale_sd(sd / mean)
+
+
+def _spot(result: Estimate, chosen: np.ndarray) -> np.ndarray:
+    """Return mean and standard deviation (2, 3) of the base colour of some texels."""
+    mean, sd = (_base_color(result, what)[chosen] for what in ("mean", "sd"))
+    weight = 1 / np.maximum(sd, SHARPEST) ** 2
+    center = np.average(mean, axis=0, weights=weight)
+    variance = np.average(sd**2 + (mean - center) ** 2, axis=0, weights=weight)
+    return np.stack([center, np.sqrt(variance)])
 
 
 def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
@@ -99,8 +112,11 @@ def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
 def _scaled(
     light: LightEstimate, observed: Observed, excess: Brightness,
     known: Mapping[str, float] | None = None,
-) -> LightEstimate:  # fmt: skip
-    """Scale light until ``excess`` of the estimate is 1, with tolerance ``DONE``."""
+) -> tuple[LightEstimate, Estimate]:  # fmt: skip
+    """Scale light until ``excess`` of the estimate is 1, with tolerance ``DONE``.
+
+    Returns the light and the last estimate.
+    """
     if light.moves:
         raise CaptureError(
             "Base colours cannot be estimated under light that moves with the camera; set its "
@@ -109,22 +125,25 @@ def _scaled(
     total = np.ones(())
     for _ in range(MOST_ROUNDS):
         lit = light.scaled(total)
-        capture = replace(with_light(observed.capture, lit), light_uncertainty=None)
+        # The light's details stay uncertain, its scale is what is looked for.
+        uncertainty = LightUncertainty(light.widening)
+        capture = replace(with_light(observed.capture, lit), light_uncertainty=uncertainty)
         # Reuse rays to the cameras; rays to cells of the light differ.
         seen = Observed(
             capture=capture, views=observed.views, texels=observed.texels,
             visibility=observed.visibility, seen=observed.seen,
         )  # fmt: skip
-        factor = np.clip(excess(estimate(seen, known=known)), 1 / FARTHEST, FARTHEST)
+        result = estimate(seen, known=known)
+        factor = np.clip(excess(result), 1 / FARTHEST, FARTHEST)
         total = total * factor
         if np.abs(np.log(factor)).max() < DONE:
-            return light.scaled(total)
+            break
     if np.abs(np.log(factor)).max() > 10 * DONE:
         raise CaptureError(
             "No brightness of the light gives this base colour; check the value, and that the "
             "texture coordinates show the card."
         )
-    return light.scaled(total)
+    return light.scaled(total), result
 
 
 def _base_color(result: Estimate, what: str) -> np.ndarray:

@@ -123,9 +123,9 @@ def scale_sentence(estimate: LightEstimate) -> str:
         return "Brightness and colour of the light were given: base colours share their errors."
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
-        f"light are estimated: {channel_factors(estimate)} (90 % intervals). It is removed by "
-        "--grey-card of svu light, and its part common to all channels by --mean-albedo. Metals "
-        "may deviate further."
+        f"light are estimated: {channel_factors(estimate)} (90 % intervals). It is narrowed "
+        "by --grey-card of svu light, and its part common to all channels is removed by "
+        "--mean-albedo. Metals may deviate further."
     )
 
 

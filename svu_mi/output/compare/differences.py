@@ -40,7 +40,8 @@ class Difference:
 
     ``figures`` are weighted by area: ``mean``, ``rms``, ``psnr`` in dB, ``median`` of the largest
     magnitude among channels, fraction ``beyond`` the tolerance, fraction ``certain`` with a
-    significant difference, and ``certain_mean``, the mean of significant differences.
+    significant difference, and the mean of significant differences (``certain_mean``) and of their
+    magnitudes (``certain_size``).
     """
 
     both: tuple[np.ndarray, np.ndarray]
@@ -91,11 +92,11 @@ class Comparison:
         """Return "Of the surface that both show, roughness differs significantly on 12 %, ..."."""
         clauses = []
         for name, one in self.differences.items():
-            share, how, by = one.figures["certain"], "significantly", one.figures["certain_mean"]
+            share, how, size = one.figures["certain"], "significantly", one.figures["certain_size"]
             if share is None:
                 share, how = one.figures["beyond"] or 0.0, f"by more than {self.tolerance:g}"
-            by_mean = "" if by is None else f" (by {by:+.3f})"
-            clauses.append(f"{label_of(name)} differs {how} on {plain_percent(share)}{by_mean}")
+            by = f" (by {size:.3f}, {one.figures['certain_mean']:+.3f} in the mean)" if size else ""
+            clauses.append(f"{label_of(name)} differs {how} on {plain_percent(share)}{by}")
         if self.entropy is not None:
             mean = self.entropy.figures["mean"]
             clauses.append(f"the entropy differs by {mean:+.3f} in the mean")
@@ -258,14 +259,16 @@ def difference(
         "mean": float(np.average(mean, weights=weights)), "median": weighted_median(size, weights),
         "rms": float(np.sqrt(np.average((changes**2).mean(axis=1), weights=weights))),
         "psnr": psnr(first[compared], second[compared]),
-        "beyond": area_share(weights, size > tolerance), "certain": None, "certain_mean": None,
+        "beyond": area_share(weights, size > tolerance),
+        **dict.fromkeys(("certain", "certain_mean", "certain_size")),
     }  # fmt: skip
     deviations = None if sd is None else _deviations(values, sd)
     if deviations is not None:
         sure = np.abs(deviations[compared, 0]) > CERTAIN
         figures["certain"] = area_share(weights, sure)
         if sure.any():
-            figures["certain_mean"] = float(np.average(mean[sure], weights=weights[sure]))
+            for key, of in (("certain_mean", mean), ("certain_size", size)):
+                figures[key] = float(np.average(of[sure], weights=weights[sure]))
     return Difference(both=both, values=values, deviations=deviations, figures=figures)
 
 
