@@ -140,8 +140,8 @@ def _scaled(
             break
     if np.abs(np.log(factor)).max() > 10 * DONE:
         raise CaptureError(
-            "No brightness of the light gives this base colour; check the value, and that the "
-            "texture coordinates show the card."
+            "No brightness of the light gives this base colour; check the value and the texture "
+            "coordinates, or take a spot of lower entropy."
         )
     return light.scaled(total), result
 
