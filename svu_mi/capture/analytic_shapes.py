@@ -4,8 +4,6 @@ Rectangles and cubes are meshes already. Vertices lie on the surface: the larges
 triangle from a sphere is 3e-4 of its radius.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

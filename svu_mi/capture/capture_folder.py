@@ -1,7 +1,5 @@
 """Capture folders: ``capture.json`` and photographs ``view_0000.exr``, ..."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -7,8 +7,6 @@
 Digests depend on content only, not on folders, file names or the process.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -3,8 +3,6 @@
 Rays repeat the arithmetic of ``PerspectiveCamera::sample_ray`` and are bitwise equal on LLVM.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial

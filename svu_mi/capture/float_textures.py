@@ -1,7 +1,5 @@
 """Storage of 8-bit textures: Mitsuba keeps bytes, through which no gradient passes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The front of a surface is defined by its vertex normals, or by the winding of th
 known to be correct only for closed surfaces, whose front must be outside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any

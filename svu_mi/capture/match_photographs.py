@@ -1,7 +1,5 @@
 """Assignment of the photographs in a folder to sensors."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence

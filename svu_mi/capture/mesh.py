@@ -5,8 +5,6 @@ Positions and normals are in world space (Mitsuba applies ``to_world`` when it l
 UVs follow Mitsuba: v = 0 is the first row of a bitmap.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Meshes in another unit than the poses, detected by what the cameras around them show."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Normal and bump maps of the object: BSDFs that tilt the normal of the BSDF within them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """Removal of ``mask`` BSDFs that hide nothing, as exporters write them around each material."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

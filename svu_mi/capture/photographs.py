@@ -1,7 +1,5 @@
 """Photographs as linear radiance, with masks, saturation and unusable pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ those registered in Python. A downloaded scene could therefore run code. Parsing
 library, so parsed scenes are checked before their objects are made.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

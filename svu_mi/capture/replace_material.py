@@ -1,7 +1,5 @@
 """The object's material: constant parameters, and its replacement."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

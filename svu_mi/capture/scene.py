@@ -1,7 +1,5 @@
 """Mitsuba scenes: loading, and checks of object, sensors and light."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ the process (see ``missing_corner``), so each mesh is first read without vertex 
 triangles take 0.03 to 0.05 s.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import struct

@@ -3,8 +3,6 @@
 ``mi.parser.write_file`` needs the parser state, which a loaded scene does not have, and omits ids.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Perspective sensors: descriptions, projection and placement."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

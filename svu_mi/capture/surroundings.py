@@ -1,7 +1,5 @@
 """Surroundings of the object: other shapes that reflect light, and the object as photographed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ A name is an id, the id of a BSDF, a number (from 0, in the order of the scene),
 principled``, or several of them with commas between. ``name_shapes`` gives ids to shapes without.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

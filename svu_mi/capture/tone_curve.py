@@ -1,7 +1,5 @@
 """Tone curves: conversion between encoded and linear values of images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

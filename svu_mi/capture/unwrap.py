@@ -1,7 +1,5 @@
 """UV unwrapping of meshes by xatlas."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib.metadata

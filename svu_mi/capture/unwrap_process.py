@@ -1,7 +1,5 @@
 """Process that unwraps a mesh, which Ctrl-C can end: arguments are the input and output files."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Upward direction of a capture, from its cameras."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

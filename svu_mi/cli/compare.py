@@ -1,7 +1,5 @@
 """``svu compare``: differences between two results."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``svu demo``: entropy of the included vase."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ An unusable LLVM or GPU driver can abort a process. Child processes therefore qu
 Mitsuba and render the test picture.
 """
 
-from __future__ import annotations
-
 import ctypes
 import importlib.metadata
 import json

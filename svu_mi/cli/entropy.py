@@ -1,7 +1,5 @@
 """``svu entropy``: entropy of each texel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``--help``: commands in groups, options in order of use, texts wrapped to the terminal."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import inspect

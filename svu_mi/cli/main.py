@@ -1,7 +1,5 @@
 """The ``svu`` program: parse arguments, run a command, report errors in one line."""
 
-from __future__ import annotations
-
 import difflib
 import errno
 import logging

@@ -1,7 +1,5 @@
 """Import matplotlib with its default settings, for the same pictures on every machine."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

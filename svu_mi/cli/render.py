@@ -1,7 +1,5 @@
 """``svu render``: render photographs of a scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``svu scenes``: list and copy the included scenes."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Standard streams that ignore write errors, and plain printed lines."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

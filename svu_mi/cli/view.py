@@ -1,7 +1,5 @@
 """``svu view``: interactive viewer in a browser."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

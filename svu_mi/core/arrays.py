@@ -1,7 +1,5 @@
 """Conversion of NumPy arrays to Dr.Jit; evenly spaced indices and directions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

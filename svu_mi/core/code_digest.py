@@ -1,7 +1,5 @@
 """Digest of the code that computes results: an edited kernel makes cached results invalid."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Ids of shapes and sensors can contain line breaks, quotes and unpaired surrogates.
 """
 
-from __future__ import annotations
-
 import os
 import re
 

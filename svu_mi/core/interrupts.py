@@ -4,8 +4,6 @@ Within custom operations and recorded loops, Dr.Jit replaces a ``KeyboardInterru
 exception. An interrupt that is raised while C++ calls Python is lost.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ block whether the index is uniform (a load) or not (a gather). Groups of four nu
 as Vector4f, which is three times as fast in divergent lanes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

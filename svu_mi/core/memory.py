@@ -6,8 +6,6 @@ Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels
 its estimate in the runs of ``tests/support/announced.py``.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

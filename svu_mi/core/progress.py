@@ -12,8 +12,6 @@ On a terminal or in a notebook, a stage is a live line, which is replaced by a p
 end. A log file contains only the plain line, and another one every ``PERIOD`` of a long stage.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Suppression of the error messages that OpenEXR and LibRaw print on stderr and ``sys.stdout``."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

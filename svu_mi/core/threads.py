@@ -1,7 +1,5 @@
 """Number of Dr.Jit's threads."""
 
-from __future__ import annotations
-
 import drjit as dr
 
 # Mitsuba waits for Dr.Jit's workers to decode EXR files. With one thread, which is the default on

@@ -1,7 +1,5 @@
 """Checks of arguments before any work: types, ranges, sizes, memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from numbers import Integral, Real

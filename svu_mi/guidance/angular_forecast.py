@@ -11,8 +11,6 @@ determine the energy of all base colours (``objectives.py``). ``Responses`` cont
 e, p, q and d of reflection (``reflection/principled.py``) by level and channel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

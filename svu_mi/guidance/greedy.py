@@ -1,7 +1,5 @@
 """Greedy selection of views: chosen views count as photographed in all later choices."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svu_mi.guidance.forecast import Forecast

@@ -1,7 +1,5 @@
 """Construction of forecasts from an estimate, with hypotheses drawn from its posterior."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

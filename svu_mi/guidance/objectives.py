@@ -10,8 +10,6 @@ w b^2. The radiance of the row is linear in c with slope a; b is its residual at
 are computed from the grid's cell masses.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 

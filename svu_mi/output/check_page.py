@@ -1,7 +1,5 @@
 """``check.html`` and ``check.json``: consistency of a capture with its photographs."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from typing import Any

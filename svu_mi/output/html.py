@@ -5,8 +5,6 @@ security policy allows embedded pictures, inline styles, and the one script of t
 text from files cannot add a script, even if unescaped.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import io

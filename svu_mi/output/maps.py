@@ -1,7 +1,5 @@
 """Per-texel results as EXR maps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Views of the object: choice of sensors, crop windows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """``relit.png``: photographs, renders with recovered textures, renders under another light."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Maps of a result: an estimate, a recovery, or a folder of textures from any program."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

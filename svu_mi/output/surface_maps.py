@@ -1,7 +1,5 @@
 """Maps on the object's surface: values, colour scales, descriptions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Recovered textures (EXR) and their scene ``recovered.xml``: reading and writing."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

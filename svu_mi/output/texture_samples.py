@@ -1,7 +1,5 @@
 """Posterior samples of recovered textures: files and overview page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files of ``svu entropy``: maps, ``overview.png`` and ``run.json``."""
 
-from __future__ import annotations
-
 import os
 
 from svu_mi.capture.capture import Capture

@@ -1,7 +1,5 @@
 """Files of ``svu inpaint``: filled textures, overview page, summary sentences."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """Files of ``svu guide``: proposed poses, maps of information gain, pictures."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

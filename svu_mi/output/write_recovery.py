@@ -1,7 +1,5 @@
 """Files of ``svu recover``: textures, scene, maps, pictures, losses, record."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import dataclass

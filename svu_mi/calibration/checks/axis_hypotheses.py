@@ -1,7 +1,5 @@
 """Combinations of axis mistakes, and their corrections applied to a loaded capture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial

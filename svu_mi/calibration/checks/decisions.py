@@ -1,7 +1,5 @@
 """Findings of the checks, decided from scores."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial

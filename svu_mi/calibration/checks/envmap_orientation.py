@@ -14,8 +14,6 @@ constant light. If constant light is assumed instead of the studio, clear sky or
 at least 0.11 and 0.50; instead of the overcast sky, which is nearly constant, 0.01 and 0.07.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

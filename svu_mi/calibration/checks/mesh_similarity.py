@@ -1,7 +1,5 @@
 """Scale and place of the mesh: other units, and the similarity that fits the masks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import compress
 from typing import Any, NamedTuple

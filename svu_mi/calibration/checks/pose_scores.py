@@ -1,7 +1,5 @@
 """Scores of camera and mesh corrections, and the fit of each photograph."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

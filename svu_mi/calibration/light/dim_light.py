@@ -7,8 +7,6 @@ dim cells have the same distribution of materials as others. The latter is measu
 Jensen-Shannon divergence [Lin 1991] of mean posteriors, weighted by the shares of both lights.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

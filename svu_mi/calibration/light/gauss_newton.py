@@ -1,7 +1,5 @@
 """Gauss-Newton steps of light, gains and materials, with eliminated materials."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

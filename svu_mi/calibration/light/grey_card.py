@@ -4,8 +4,6 @@ Photographs hardly distinguish brighter light from brighter base colour. The lig
 scaled until the estimated base colour has the known value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 

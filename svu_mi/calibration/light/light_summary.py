@@ -1,7 +1,5 @@
 """Summaries of estimated light and gains, and comparison with a known light."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

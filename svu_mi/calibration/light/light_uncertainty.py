@@ -10,8 +10,6 @@ fitted to the included scenes, and validated on dark wood and slate.
 Details have the normal distribution of the normal equations (Laplace approximation).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log

@@ -6,8 +6,6 @@ edge pixels, it is exact to parts of a pixel. Masks may be wider or narrower tha
 same width everywhere: each photograph has an unknown width.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -5,8 +5,6 @@ gradient of the photograph times the shift. Errors of light and shading vary slo
 surface, so that patches of texels have an unknown brightness in each photograph.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

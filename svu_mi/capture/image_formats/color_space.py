@@ -4,8 +4,6 @@ Primaries: ITU-T H.273 (CICP), Adobe RGB (1998), and S-2014-004 (ACEScg). White 
 with the Bradford transform (ICC.1:2022, annex E).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

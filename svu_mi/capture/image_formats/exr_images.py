@@ -1,7 +1,5 @@
 """EXR images: header, chromaticities, and the channels that are red, green, blue and alpha."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """AVIF images, read by Pillow, and HEIC images, read by pillow-heif."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Colour values of other profiles (tables) are not converted.
 """
 
-from __future__ import annotations
-
 import struct
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Properties of an image file, read before its pixels, and packages that read them."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import threading

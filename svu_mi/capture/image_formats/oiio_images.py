@@ -1,7 +1,5 @@
 """JPEG, TIFF, WebP, JPEG XL, HDR and PFM images, read by OpenImageIO."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """PNG images: header chunks (https://www.w3.org/TR/png-3/), and pixels by Mitsuba."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

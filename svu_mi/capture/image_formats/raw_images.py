@@ -1,7 +1,5 @@
 """RAW photographs, developed linearly by LibRaw."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recognition of image formats by content, and their readers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@
 applies it. Each correction is relative to the axes that the capture was read with.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

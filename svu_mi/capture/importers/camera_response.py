@@ -1,7 +1,5 @@
 """Reader of measured response curves of cameras."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

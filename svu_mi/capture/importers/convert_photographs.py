@@ -1,7 +1,5 @@
 """Conversion of photographs to linear EXR with the mask as alpha."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Sequence

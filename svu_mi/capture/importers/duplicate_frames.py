@@ -1,7 +1,5 @@
 """Frames that occur twice in a source: the same photograph, or the same pose."""
 
-from __future__ import annotations
-
 import filecmp
 import os
 from collections.abc import Callable, Hashable, Iterator, Sequence

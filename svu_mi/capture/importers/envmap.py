@@ -1,7 +1,5 @@
 """Conversion of environment maps to Mitsuba's ``envmap``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

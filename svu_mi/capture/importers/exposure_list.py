@@ -1,7 +1,5 @@
 """Exposure gains of photographs from a list, or from EXIF."""
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ that works. Sources: https://docs.nerf.studio/quickstart/custom_dataset.html and
 of each tool; see ``notebooks/tools.md``.
 """
 
-from __future__ import annotations
-
 import re
 from itertools import islice
 from pathlib import Path

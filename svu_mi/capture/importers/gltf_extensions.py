@@ -3,8 +3,6 @@
 The registry is https://github.com/KhronosGroup/glTF/tree/main/extensions
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping
 from typing import Any

@@ -10,8 +10,6 @@ This is Brown's model as in OpenCV, COLMAP, instant-ngp and nerfstudio. k4 is ne
 k4 belongs to a rational model, which ``transforms.json`` does not support.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ and texture transforms, and reads compressed data as zeros. Such files are refus
 https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

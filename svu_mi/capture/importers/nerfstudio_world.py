@@ -6,8 +6,6 @@ centres and scales them again; ``ns-export`` writes meshes in that normalised wo
 https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Normal maps of glTF, if Mitsuba's ``normalmap`` has the same tangents."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 Statements follow the specification of Wavefront, http://paulbourke.net/dataformats/mtl/
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from itertools import takewhile

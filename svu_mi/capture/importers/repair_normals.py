@@ -1,7 +1,5 @@
 """Repair of winding and vertex normals of meshes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ focal lengths differ, area averages reduce the finer axis, so that no detail is 
 lengths and principal point are exact; a partial last row or column is dropped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Simplification of dense scans before they are unwrapped."""
 
-from __future__ import annotations
-
 import fast_simplification
 import numpy as np
 

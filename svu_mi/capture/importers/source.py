@@ -4,8 +4,6 @@ Readers convert axes, angles and pixel grids of their tool to the conventions of
 writers convert them back. No other module uses the tool's conventions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

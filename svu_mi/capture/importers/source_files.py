@@ -1,7 +1,5 @@
 """Files of a capture: safe paths, folders of photographs and masks, lines of text."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

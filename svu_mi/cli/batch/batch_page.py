@@ -1,7 +1,5 @@
 """Page and CSV table of a batch, one row per capture."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

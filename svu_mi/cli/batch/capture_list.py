@@ -1,7 +1,5 @@
 """List of captures of a batch: subfolders, or rows of a CSV table."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

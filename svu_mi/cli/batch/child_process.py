@@ -5,8 +5,6 @@
 PARENT is the process id of the batch. MEMORY limits the memory in bytes; 0 means no limit.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

@@ -1,7 +1,5 @@
 """Steps of a batch: commands, arguments, keys of inputs, and completed steps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

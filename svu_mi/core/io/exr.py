@@ -5,8 +5,6 @@ without an error, and prints on stdout and stderr before it raises. Every file i
 from contiguous copies, read back and compared before it gets its final name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

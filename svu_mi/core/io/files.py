@@ -1,7 +1,5 @@
 """Writable folders, atomic replacement of files, marks in headers, JSON, open-file limits."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

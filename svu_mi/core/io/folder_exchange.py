@@ -5,8 +5,6 @@ on the draft. If the system cannot exchange two folders in one step, the older o
 ``.NAME.svu-older`` between two renames. After a crash between them, the next access restores it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

@@ -1,7 +1,5 @@
 """Digests of values, bytes and files."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Mapping

@@ -8,8 +8,6 @@ file, and the file contains their digest. From NPY and NPZ files of other progra
 numbers up to a given size can be read, but no pickled objects.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

@@ -11,8 +11,6 @@ the writer instead of the folder:
         write_outputs(capture, estimate, place)
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -6,8 +6,6 @@
 Messages lack the file and the remedy, which the caller adds.
 """
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Mapping, Sequence
 from itertools import repeat

@@ -1,7 +1,5 @@
 """Files of ``svu compare``: ``compare.html``, ``compare.json`` and difference maps."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

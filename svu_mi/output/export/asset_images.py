@@ -1,7 +1,5 @@
 """Textures and maps of an asset as EXR and PNG."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mitsuba as mi

@@ -4,8 +4,6 @@ In MaterialX, (0, 0) is the lower left corner of an image (Specification 1.38, "
 points upwards in the OBJ. In the GLB, v points downwards.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement

@@ -1,7 +1,5 @@
 """Binary glTF 2.0 (GLB): object with textures, and object coloured by entropy."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """UV charts of an asset: inside test, gutters, and means of maps at vertices."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of a report: photographs, turntable, maps, errors of renders."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Plots of a report: entropy histogram, mean marginals, marginals of single texels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -10,8 +10,6 @@ viser has no option for this, so its arguments to ``websockets`` are replaced. T
 stopped if it still answers a request without the secret.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import http.client

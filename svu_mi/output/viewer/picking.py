@@ -1,7 +1,5 @@
 """Picking of texels with rays, and their posteriors as text and plots."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

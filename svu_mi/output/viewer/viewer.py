@@ -4,8 +4,6 @@ viser serves a page on 127.0.0.1 from its own threads. User input becomes a task
 thread processes, so that Dr.Jit runs in a single thread and Ctrl-C ends the viewer.
 """
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Callable
 from functools import partial

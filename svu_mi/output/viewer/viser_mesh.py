@@ -6,8 +6,6 @@ textures, so that object, colour bar and photographs have the same colours. Frus
 axes: +X right, +Y down, +Z forward.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

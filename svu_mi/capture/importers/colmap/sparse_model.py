@@ -4,8 +4,6 @@ Files are parsed here because pycolmap may fill the memory or hang on damaged fi
 https://colmap.github.io/format.html; models with ``rigs`` and ``frames`` have the same two files.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import mmap
