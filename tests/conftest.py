@@ -62,11 +62,14 @@ def _variant_is_set() -> None:
 def _light_is_filtered_once() -> None:
     """The same light comes again in many tests; to filter it takes NumPy 0.3 s, to split it 0.04 s.
 
-    What is kept is what these functions have returned for exactly these arguments.
+    So do options of commands, which tyro reads again for each: 0.02 s. What is kept is what these
+    functions have returned for exactly these arguments.
     """
+    from tyro._docstrings import _ClassTokenization
+
     from svu_mi.light import light_tree, prefiltered
 
-    def once(module: ModuleType, name: str) -> None:
+    def once(module: ModuleType | type, name: str) -> None:
         compute, kept = getattr(module, name), {}
 
         def remembered(*arguments: object) -> object:
@@ -82,6 +85,7 @@ def _light_is_filtered_once() -> None:
 
     once(prefiltered, "convolve")
     once(light_tree, "_split")
+    once(_ClassTokenization, "make")
 
 
 @pytest.fixture

@@ -177,6 +177,7 @@ def test_textures_alone_bring_a_camera_back(sound):
     assert off(alone[2], alone[0]) < 0.6 * off(alone[1], alone[0])
 
 
+@pytest.mark.slow
 def test_check_notes_cameras_that_are_off(sound):
     assert outline_note(sound) is None
     assert outline_note(replace(sound, masks=(None,) * 16)) is None
@@ -188,6 +189,7 @@ def test_check_notes_cameras_that_are_off(sound):
     assert [one.sentence for one in findings] == [note]
 
 
+@pytest.mark.slow
 def test_a_copy_of_the_capture_has_the_new_poses(shot, tmp_path, capsys):
     target = tmp_path / "refined"
     assert run("refine", shot, "-o", target) == 0

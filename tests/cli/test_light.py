@@ -173,6 +173,7 @@ def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
     assert first["written"]["capture"] == second["written"]["capture"]
 
 
+@pytest.mark.slow
 @COARSE
 def test_it_is_estimated_with_what_is_known(dark, tmp_path, capsys, monkeypatch):
     """A light that was estimated without the known value is not reused."""

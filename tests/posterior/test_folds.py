@@ -192,6 +192,7 @@ def test_plane_changes_irradiance_by_its_form_factor():
     np.testing.assert_allclose(support_error(light, up, normal), expected, atol=0.01)
 
 
+@pytest.mark.slow
 def test_photographs_from_above_widen_base_color_below(capture, layout, monkeypatch):
     heights = [s.world_transform().matrix[1, 3] for s in capture.sensors]
     above = chosen_views(capture, np.flatnonzero(np.ravel(heights) > -0.5))

@@ -42,6 +42,7 @@ def error_of(estimate: svu.Estimate, metallic: float) -> float:
     )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("paint", "metal"), [(BLACK, False), (GOLD, True)])
 def test_a_black_ball_is_no_metal_and_a_gold_ball_is_one(tmp_path, paint, metal) -> None:
     capture = ball(paint=paint, directions=around(24), light=STUDIO, size=64).capture(tmp_path)

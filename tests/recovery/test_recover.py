@@ -328,6 +328,7 @@ def test_robust_passes_resist_a_spoilt_photograph(
     assert psnr(robust.textures, truth, grid) > psnr(plain.textures, truth, grid)
 
 
+@pytest.mark.slow
 def test_no_kernel_is_compiled_after_the_second_run(capture: Capture, grid: Texels) -> None:
     steps = DescentOptions(steps=6)
     options = replace(ShOptions(), smoothing=steps, descent=steps)

@@ -33,17 +33,19 @@ LIMIT = 1.5 * 2**30  # bytes that the whole process may have had in use
 MEMORY = Path("/dev/shm")  # a file system in memory, where there is one: 1500 files are written
 
 
-@pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module")
 def report(request, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
-    """What became of damaged files, read in a process of their own."""
+    """What became of damaged files, read in a process of their own; more with slow tests."""
     if sys.platform != "linux":
         pytest.skip("the fuzzer asks /proc for the memory in use")
+    is_long = any(item.get_closest_marker("slow") for item in request.session.items)
+    count = MANY if is_long else FEW
     place = MEMORY if os.access(MEMORY, os.W_OK) else tmp_path_factory.getbasetemp()
     with tempfile.TemporaryDirectory(dir=place) as name:
         folder = Path(name)
         program = Path(__file__).parents[1] / "support" / "fuzzing.py"
         done = subprocess.run(
-            [sys.executable, program, folder, str(request.param)], check=False,
+            [sys.executable, program, folder, str(count)], check=False,
             env={**os.environ, "PYTHONPATH": str(program.parents[1])},
         )  # fmt: skip
         if done.returncode != 0:
