@@ -70,9 +70,10 @@ def refuse_foreign(state: Any, label: str) -> None:
 
 
 def _refuse_libraries(folders: Iterable[Path]) -> None:
-    for folder in dict.fromkeys(folders):
-        for name in _names(folder / FOLDER):
-            path = folder / FOLDER / name
+    for place in dict.fromkeys(folder / FOLDER for folder in folders):
+        if Path(os.path.realpath(place)) == _own_folder() / FOLDER:
+            continue  # some hundred files
+        for path in map(place.joinpath, _names(place)):
             if path.suffix.lower() in SUFFIXES and not _is_own(path):
                 raise _refused(path)
 
