@@ -24,7 +24,7 @@ from svu_mi.calibration.light.light_transport import (
     columns_of,
 )
 from svu_mi.calibration.light.light_uncertainty import scale_of
-from svu_mi.capture.capture import Capture
+from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
 from svu_mi.core.progress import Progress
@@ -95,6 +95,29 @@ def estimate_gains(
             heat = max(heat * COOLING, 1.0)
             stage.update(done + 1, ROUNDS)
     return gains
+
+
+def with_common_gain(
+    capture: Capture, texels: Texels, options: LightOptions, progress: Progress
+) -> tuple[Capture, np.ndarray, np.ndarray]:
+    """Divide photographs by their common brightness relative to the light of the capture.
+
+    Returns:
+        The capture, whose light keeps the uncertainty of this factor, and the ends (3,) of its 90 %
+        intervals per channel.
+    """
+    observed = observations_of(capture, texels, progress)
+    switches: AngularPreset = find_preset("default", method="angular", bare_metals=0.0)
+    with progress.stage("Comparing photographs with the light"):
+        samples = TexelSamples.of(observed, switches, options.texels, options.known)
+        light = cell_radiance(observed.lighting.environment, CELLS)
+        columns = columns_of(Transport.of(samples, CELLS), light, switches)
+        level = scale_of(samples, columns, switches)
+    views, wide = sum(capture.used), NINETY * level.sd
+    gains = FoundGains(np.tile(level.best, (views, 1)), np.zeros(views), np.zeros(views, bool))
+    uncertainty = LightUncertainty(scale=tuple(map(float, level.sd)))
+    divided = replace(equalized(capture, gains), light_uncertainty=uncertainty)
+    return divided, np.exp(level.best - wide), np.exp(level.best + wide)
 
 
 def equalized(capture: Capture, gains: FoundGains) -> Capture:

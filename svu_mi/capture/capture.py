@@ -29,6 +29,9 @@ class LightUncertainty:
     scale: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
+UNKNOWN_LEVEL = LightUncertainty(scale=(0.7, 0.7, 0.7))  # of a given light, by exposures of EXIF
+
+
 @dataclass(frozen=True)
 class Flash:
     """Point lamp fixed to the camera.
@@ -56,6 +59,7 @@ class Capture:
         masks: V arrays (H, W) bool, True on the object; None for a view without a mask.
         exposures: V exposure gains; the photographs were divided by them.
         exposures_known: True if the exposures are recorded; otherwise they are 1, but may differ.
+        exposures_relative: True if they are those of EXIF, in another unit than the light's.
         names: V names of the photographs for messages: the imported names, or file names.
         unusable: V counts of pixels that are NaN.
         used: V booleans; False for unused views, such as an entirely black photograph.
@@ -103,6 +107,7 @@ class Capture:
     buffer: PixelBuffer | None = None
     cache: ArrayCache = ArrayCache()
     exposures_known: bool = True
+    exposures_relative: bool = False
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -33,8 +33,9 @@ WRAPPERS = {  # names of unsupported BSDFs in str(bsdf), and their description
 }  # fmt: skip
 RELATIVE_GAINS = (
     "Exposures of EXIF are relative to each other: photographs and environment map differ in "
-    "brightness by an unknown factor, as do base colours. To avoid that, import with the factor of "
-    "the map, --environment-scale, or with --exposures FILE, gains that fit the map."
+    "brightness by an unknown factor, which svu's commands estimate from the object, and which "
+    "base colours share. To avoid that, import with the factor of the map, --environment-scale, or "
+    "with --exposures FILE, gains that fit the map."
 )
 UNMODELLED = "which svu does not account for"
 SHAPES = 5  # shapes that a message lists by name

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar, get_args
 import mitsuba as mi
 
 from svu_mi.capture import capture_folder
-from svu_mi.capture.capture import Capture, LightUncertainty
+from svu_mi.capture.capture import UNKNOWN_LEVEL, Capture
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.crop import WHOLE, Detail, Window
 from svu_mi.capture.image_io import ImageFile
@@ -35,8 +35,6 @@ from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
-
-LEVEL = 0.7  # standard deviation of the log brightness of light beside gains of EXIF
 
 Light = Literal["required", "optional"]
 Value = TypeVar("Value")
@@ -243,8 +241,8 @@ class CapturePlan:
         material = unsupported(target.scene, target.mesh, target.materials, own_uvs=own)
         notes = [*self.match.notes, *notes, *unwrapping, *material]
         notes += self._geometry_warnings(sensors)
-        relative = bool(self.description.imported.get("relative_gains")) and self.light is not None
-        notes += [RELATIVE_GAINS] * relative
+        relative = bool(self.description.imported.get("relative_gains"))
+        notes += [RELATIVE_GAINS] * (relative and self.light is not None)
         for sentence in notes:
             warnings.warn(sentence, SvuWarning, stacklevel=3)
         return Capture(
@@ -259,7 +257,8 @@ class CapturePlan:
             clipped=_any(photograph.clipped for photograph in photographs),
             rounding=_any(photograph.rounding for photograph in photographs), buffer=buffer,
             flash=self.description.flash,
-            light_uncertainty=LightUncertainty(scale=(LEVEL,) * 3) if relative else None,
+            exposures_relative=relative,
+            light_uncertainty=UNKNOWN_LEVEL if relative and self.light is not None else None,
         )  # fmt: skip
 
     def _geometry_warnings(self, sensors: Sequence[Any]) -> list[str]:

@@ -197,7 +197,7 @@ def known_colors(estimate: LightEstimate) -> np.ndarray:
 
 
 def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str]:
-    scale = f"factor of base colours {channel_factors(estimate)}"
+    scale = f"factor of base colours {channel_factors(*estimate.scale_interval)}"
     notes = [
         f"{plain_percent(estimate.known_part)} determined", f"{estimate.texels} texels",
         scale if estimate.scale_sd.any() else "brightness and colour given",

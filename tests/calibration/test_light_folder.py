@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.helpers import ball_scene, made_up_light, names, render_ball
+from support.helpers import Said, ball_scene, made_up_light, names, render_ball
 
 import svu_mi as svu
 from svu_mi.calibration.light import grey_card
@@ -367,3 +367,21 @@ def test_likeness_is_that_of_the_maps():
     assert not same.inside and compare_lights(truth, emitter).inside
     opposite = compare_lights(made_up_light(side=-1), emitter)
     assert opposite.correlation < 0 and opposite.angle > 150
+
+
+# --- photographs in another unit than the light --------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_the_common_gain_of_relative_exposures_is_estimated(gray_ball, factor):
+    """Photographs that are some times too bright get their brightness back, with an interval."""
+    images = [image * np.float32(factor) for image in gray_ball.images]
+    relative = replace(gray_ball, images=tuple(images), buffer=None, exposures_relative=True)
+    said = Said()
+    lit = with_resolved_light(relative, progress=said)
+    left = [np.nansum(x) / np.nansum(y) for x, y in zip(lit.images, gray_ball.images, strict=True)]
+    sd = np.array(lit.light_uncertainty.scale)
+    assert (np.abs(np.log(left)) < 1.645 * sd.max()).all() and (sd < 0.5).all()
+    (line,) = (line for line in said.lines if "relative to the environment map" in line)
+    low, high = map(float, re.findall(r"R ([\d.]+) to ([\d.]+),", line)[0])
+    assert low < factor < high < 8 * low  # unknown: 10

@@ -121,15 +121,15 @@ def scale_sentence(estimate: LightEstimate) -> str:
         return "Brightness and colour of the light were given: base colours share their errors."
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
-        f"light are estimated: {channel_factors(estimate)} (90 % intervals). It is narrowed "
-        "by --grey-card of svu light, and its part common to all channels is removed by "
+        f"light are estimated: {channel_factors(*estimate.scale_interval)} (90 % intervals). It is "
+        "narrowed by --grey-card of svu light, and its part common to all channels is removed by "
         "--mean-albedo. Metals may deviate further."
     )
 
 
-def channel_factors(estimate: LightEstimate) -> str:
-    """Return the 90 % intervals of the scale per channel: "R 0.72 to 1.39, G ..."."""
-    ends = zip(LETTERS, *estimate.scale_interval, strict=True)
+def channel_factors(lower: np.ndarray, upper: np.ndarray) -> str:
+    """Return intervals per channel: "R 0.72 to 1.39, G ..."."""
+    ends = zip(LETTERS, lower, upper, strict=True)
     return ", ".join(f"{letter} {low:.2f} to {high:.2f}" for letter, low, high in ends)
 
 

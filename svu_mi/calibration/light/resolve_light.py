@@ -15,7 +15,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.calibration.exposure import equalized, estimate_gains
+from svu_mi.calibration.exposure import equalized, estimate_gains, with_common_gain
 from svu_mi.calibration.light.estimate_light import estimate_light
 from svu_mi.calibration.light.light_estimate import FoundGains, LightEstimate
 from svu_mi.calibration.light.light_folder import (
@@ -26,11 +26,17 @@ from svu_mi.calibration.light.light_folder import (
     save_light,
 )
 from svu_mi.calibration.light.light_options import LightOptions
-from svu_mi.calibration.light.light_summary import gain_sentences, scale_sentence, summary_sentences
-from svu_mi.capture.capture import Capture, LightUncertainty
+from svu_mi.calibration.light.light_summary import (
+    channel_factors,
+    gain_sentences,
+    scale_sentence,
+    summary_sentences,
+)
+from svu_mi.capture.capture import UNKNOWN_LEVEL, Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.import_options import Light
+from svu_mi.capture.load_warnings import RELATIVE_GAINS
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import is_lit
 from svu_mi.capture.up_direction import up_direction
@@ -153,6 +159,12 @@ def _resolved(
         lit, factors = with_light(capture, light), light.gains
     if gains and factors is None:
         factors = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
+    if lit.exposures_relative and lit.found_light is None:
+        lit, low, high = with_common_gain(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
+        progress.say(
+            "Photographs are divided by their brightness relative to the environment map, "
+            f"estimated: {channel_factors(low, high)} (90 % intervals)."
+        )
     return lit, factors
 
 
@@ -230,6 +242,9 @@ def _under_given(
             "environment map (EXR or HDR)."
         )
     with_given, notes = with_map(capture, given)
+    if capture.exposures_relative:
+        with_given = replace(with_given, light_uncertainty=UNKNOWN_LEVEL)
+        notes = [*notes, RELATIVE_GAINS]
     for note in notes:
         progress.say(note)
     return with_given, None

@@ -254,11 +254,12 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
         )
     if mesh is None:
         raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
-    relative = options.exposures in (None, "exif") and light is not None and any(
-        light.scale == 1 and max(a.exposure, b.exposure) >= EQUAL * min(a.exposure, b.exposure)
+    fitted = options.exposures not in (None, "exif") or (light is not None and light.scale != 1)
+    relative = not fitted and any(
+        max(a.exposure, b.exposure) >= EQUAL * min(a.exposure, b.exposure)
         for a, b in zip(gained, there, strict=True)
-    )  # fmt: skip
-    about_gains += [RELATIVE_GAINS] * relative
+    )
+    about_gains += [RELATIVE_GAINS] * (relative and light is not None)
     notes = [*left_out, *duplicate_notes(frames, str(source.root)), *about_gains]
     return ImportPlan(source, options, fixes, frames, str(mesh), light, notes, known, relative)
 
