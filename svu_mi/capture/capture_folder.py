@@ -2,18 +2,20 @@
 
 import math
 import os
+import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from svu_mi.capture.capture import Flash
-from svu_mi.capture.scene import check_sensor
-from svu_mi.capture.sensors import LARGEST, describe, make_sensor
+from svu_mi.capture.capture import Capture, Flash
+from svu_mi.capture.scene import check_sensor, find_sensors, to_world
+from svu_mi.capture.sensors import LARGEST, changed_sensor, describe, make_sensor
+from svu_mi.core.io.exr import read_header
 from svu_mi.core.io.files import is_temporary, read_json, refusing, write_json
 from svu_mi.core.io.folder_exchange import restore
-from svu_mi.core.io.output_folder import Draft, is_kept
-from svu_mi.core.io.provenance import RESULT, Entry, entry_of
+from svu_mi.core.io.output_folder import Claim, Draft, is_kept, writing
+from svu_mi.core.io.provenance import RESULT, RUN, Entry, entry_of
 from svu_mi.core.io.schema import NAMES, NUMBER, OBJECT, SIMPLE, TEXT, WHOLE, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError
@@ -152,6 +154,29 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
         **draft.entries(),
     }
     write_json(draft.folder / FILE, record)
+
+
+def write_copy(folder: Path, changed: Capture, place: Claim) -> None:
+    """Write a copy of a capture folder with the poses of ``changed``, the same capture."""
+    description = read(folder)
+    assert description is not None
+    own = description.make_sensors(folder) or find_sensors(changed.scene, str(folder))
+    sensors = [
+        changed_sensor(old, to_world=to_world(new).tolist())
+        for old, new in zip(own, changed.sensors, strict=True)
+    ]
+    # The copy must name the run that wrote the photographs.
+    runs = (read_header(path).attributes.get(RUN) for path in sorted(folder.glob("*.exr")))
+    run = description.run or str(next(filter(None, runs), ""))
+    with writing(place, place.command, FILE, run=run) as draft:
+        for path in sorted(folder.iterdir()):
+            if not (path.name.startswith(".") or is_kept(path.name) or path.name == FILE):
+                copy = shutil.copytree if path.is_dir() else shutil.copyfile
+                copy(path, draft.folder / path.name)
+        scene = description.scene
+        if scene is not None and scene.is_relative_to(folder.resolve()):
+            scene = draft.folder.resolve() / scene.relative_to(folder.resolve())
+        write(draft, replace(description, scene=scene), sensors)
 
 
 def stamps(places: Iterable[Path], skip: Callable[[Path], bool]) -> list[tuple[str, int, int]]:

@@ -6,6 +6,7 @@ UVs follow Mitsuba: v = 0 is the first row of a bitmap.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,16 @@ class MeshArrays:
     def crosses(self) -> np.ndarray:
         """Cross product of two edges of each face, (F, 3); its length is twice the area."""
         return crosses_of(self.positions, self.faces)
+
+
+def joined(meshes: Sequence[MeshArrays]) -> MeshArrays:
+    """Concatenate meshes; the result has normals and UVs if all of them have."""
+    first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, first, strict=False)]
+    both = [[getattr(mesh, name) for mesh in meshes] for name in ("normals", "uvs")]
+    normals, uvs = (None if any(p is None for p in part) else np.concatenate(part) for part in both)
+    positions = np.concatenate([mesh.positions for mesh in meshes])
+    return MeshArrays(positions, np.concatenate(faces), normals, uvs)
 
 
 def crosses_of(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

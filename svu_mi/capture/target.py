@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.analytic_shapes import analytic_mesh
-from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh, unit_vectors
+from svu_mi.capture.mesh import MeshArrays, arrays, joined, make_mesh, unit_vectors
 from svu_mi.capture.replace_material import is_same, is_two_sided, make_scene
 from svu_mi.capture.scene import check_target
 from svu_mi.errors import SceneError, excerpt
@@ -184,13 +184,7 @@ def merged(meshes: Sequence[MeshArrays]) -> MeshArrays:
     """Join meshes to one without UVs; it has normals if one of them has."""
     smooth = any(mesh.normals is not None for mesh in meshes)
     meshes = [_with_normals(mesh) if smooth else mesh for mesh in meshes]
-    first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
-    faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
-    normals = [mesh.normals for mesh in meshes if mesh.normals is not None]
-    return MeshArrays(
-        np.concatenate([mesh.positions for mesh in meshes]), np.concatenate(faces),
-        np.concatenate(normals) if smooth else None, None,
-    )  # fmt: skip
+    return replace(joined(meshes), uvs=None)
 
 
 def _with_normals(mesh: MeshArrays) -> MeshArrays:

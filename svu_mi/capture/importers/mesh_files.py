@@ -37,7 +37,7 @@ from svu_mi.capture.importers.normal_pictures import normal_picture
 from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
 from svu_mi.capture.importers.source_files import LARGEST_TEXT, find_file, substitutions
-from svu_mi.capture.mesh import MeshArrays, check_buffers, flipped_v
+from svu_mi.capture.mesh import MeshArrays, check_buffers, flipped_v, joined
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -131,14 +131,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
 
 def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
     """Concatenate parts; keep UVs and normals only if all parts have them."""
-    meshes = [part.mesh for part in parts]
-    first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
-    mesh = MeshArrays(
-        positions=np.concatenate([mesh.positions for mesh in meshes]),
-        faces=np.concatenate([m.faces + k for m, k in zip(meshes, first, strict=False)]),
-        normals=_concatenate([mesh.normals for mesh in meshes]),
-        uvs=_concatenate([mesh.uvs for mesh in meshes]),
-    )
+    mesh = joined([part.mesh for part in parts])
     # Normals may be invalid: they are repaired.
     check_buffers(replace(mesh, normals=None), str(path), MeshError, MAX_NUMBER)
     # Remove unused vertices: scans have some far away.
@@ -147,11 +140,6 @@ def _merge_parts(parts: Sequence[_Part], path: Path) -> MeshArrays:
         return mesh
     normals, uvs = (None if a is None else a[used] for a in (mesh.normals, mesh.uvs))
     return MeshArrays(mesh.positions[used], faces.reshape(mesh.faces.shape), normals, uvs)
-
-
-def _concatenate(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
-    there = [array for array in arrays if array is not None]
-    return np.concatenate(there) if len(there) == len(arrays) else None
 
 
 @dataclass(frozen=True)
