@@ -9,14 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 from PIL import Image, TiffImagePlugin
 
-from svu_mi.capture.image_formats.color_space import (
-    PRIMARIES,
-    ColorSpace,
-    from_chromaticities,
-    from_cicp,
-    from_primaries,
-    gamma_curve,
-)
+from svu_mi.capture.image_formats import color_space
 from svu_mi.capture.image_formats.icc_profile import not_followed, read_profile
 from svu_mi.capture.image_formats.image_header import ImageHeader, without_warnings
 from svu_mi.errors import CaptureError
@@ -41,7 +34,7 @@ def open_with_oiio(path: Path) -> ImageHeader:
     ):
         raise CaptureError(f"{path}: the image is in CMYK or Lab; export it as sRGB.")
     bits = BITS.get(str(spec.format), 0)
-    color, remarks = ColorSpace(), list(_remarks(path, spec, kind))
+    color, remarks = color_space.ColorSpace(), list(_remarks(path, spec, kind))
     try:
         color = _hdr_color(path) if kind == "hdr" else _color_space(path, spec, bits)
     except ValueError as error:
@@ -107,25 +100,26 @@ def _remarks(path: Path, spec: Any, kind: str) -> Iterator[str]:
             yield "the TransferFunction tag is ignored; embed an ICC profile instead."
 
 
-def _color_space(path: Path, spec: Any, bits: int) -> ColorSpace:
+def _color_space(path: Path, spec: Any, bits: int) -> color_space.ColorSpace:
     """Return the colour space of an image by its CICP, ICC profile, TIFF tags or EXIF data."""
     points, profile = spec.getattribute("CICP"), spec.getattribute("ICCProfile")
     if points is not None:
-        return from_cicp(*map(int, points))
+        return color_space.from_cicp(*map(int, points))
     if profile is not None:
         return read_profile(bytes(bytearray(profile)))
     if spec.getattribute("tiff:PhotometricInterpretation") is not None:
         tags = _tiff_tags(path)
         if CHROMATICITIES in tags and WHITE_POINT in tags:
             given = [float(value) for tag in (CHROMATICITIES, WHITE_POINT) for value in tags[tag]]
-            return from_chromaticities(given, "srgb" if bits else "linear")
+            return color_space.from_chromaticities(given, "srgb" if bits else "linear")
     elif spec.get_int_attribute("Exif:ColorSpace", 1) in UNCALIBRATED:
         with without_warnings(), Image.open(path) as image:
             named = image.getexif().get_ifd(INTEROPERABILITY).get(1)
         if named == ADOBE_RGB:
-            curve = gamma_curve(563 / 256)
-            return from_primaries(PRIMARIES["Adobe RGB"], "Adobe RGB", curve)
-    return ColorSpace()
+            curve = color_space.gamma_curve(563 / 256)
+            primaries = color_space.PRIMARIES["Adobe RGB"]
+            return color_space.from_primaries(primaries, "Adobe RGB", curve)
+    return color_space.ColorSpace()
 
 
 def _tiff_tags(path: Path) -> Any:
@@ -142,7 +136,7 @@ def _hdr_text(path: Path) -> bytes:
         return stream.read(HEADER).partition(b"\n\n")[0]
 
 
-def _hdr_color(path: Path) -> ColorSpace:
+def _hdr_color(path: Path) -> color_space.ColorSpace:
     """Return the conversion by EXPOSURE, COLORCORR and PRIMARIES of an HDR header.
 
     Values were multiplied by all EXPOSURE and COLORCORR
@@ -157,11 +151,11 @@ def _hdr_color(path: Path) -> ColorSpace:
     if not ((gain > 0) & (gain < np.inf)).all() or gain.shape != (3,):
         raise ValueError("its EXPOSURE or COLORCORR is not a positive number")
     given = re.findall(r"^PRIMARIES=(.*)$", text, re.MULTILINE)
-    color = ColorSpace(transfer="linear")
+    color = color_space.ColorSpace(transfer="linear")
     if given:
-        color = from_chromaticities([float(number) for number in given[-1].split()])
+        color = color_space.from_chromaticities([float(number) for number in given[-1].split()])
     if (gain == 1).all():
         return color
     matrix = np.eye(3) if color.matrix is None else color.matrix
     name = " and ".join(filter(None, ["the EXPOSURE in the header", color.name]))
-    return ColorSpace(name, "linear", matrix / gain)
+    return color_space.ColorSpace(name, "linear", matrix / gain)

@@ -9,13 +9,7 @@ import mitsuba as mi
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture.image_formats.color_space import (
-    REC_709,
-    ColorSpace,
-    from_chromaticities,
-    from_cicp,
-    gamma_curve,
-)
+from svu_mi.capture.image_formats import color_space
 from svu_mi.capture.image_formats.icc_profile import LARGEST, not_followed, read_profile
 from svu_mi.capture.image_formats.image_header import ORIENTATION, ImageHeader
 from svu_mi.capture.tone_curve import SampledCurve, Transfer
@@ -32,7 +26,7 @@ def open_png(path: Path) -> ImageHeader:
     """Read the chunks of a PNG before its pixels."""
     chunks = _chunks(path)
     width, height, bits, kind = struct.unpack_from(">IIBB", chunks[b"IHDR"])
-    color, remarks = ColorSpace(), []
+    color, remarks = color_space.ColorSpace(), []
     try:
         color = _color_space(chunks)
     except (ValueError, struct.error, zlib.error) as error:
@@ -64,25 +58,25 @@ def _chunks(path: Path) -> dict[bytes, bytes]:
     return chunks
 
 
-def _color_space(chunks: dict[bytes, bytes]) -> ColorSpace:
+def _color_space(chunks: dict[bytes, bytes]) -> color_space.ColorSpace:
     """Return the colour space by the first of cICP, iCCP, sRGB, gAMA and cHRM."""
     if b"cICP" in chunks:
         primaries, transfer, matrix, whole = chunks[b"cICP"][:4]
-        return from_cicp(primaries, transfer, matrix, whole)
+        return color_space.from_cicp(primaries, transfer, matrix, whole)
     if b"iCCP" in chunks:
         packed = chunks[b"iCCP"].partition(b"\0")[2][1:]
         return read_profile(zlib.decompressobj().decompress(packed, LARGEST))
     if b"sRGB" in chunks:
-        return ColorSpace()
+        return color_space.ColorSpace()
     curve: Transfer | SampledCurve = "srgb"
     if b"gAMA" in chunks:
         (gamma,) = struct.unpack(">I", chunks[b"gAMA"])
-        curve = "srgb" if gamma in SRGB_GAMMA else gamma_curve(UNIT / max(gamma, 1))
-    given = REC_709
+        curve = "srgb" if gamma in SRGB_GAMMA else color_space.gamma_curve(UNIT / max(gamma, 1))
+    given = color_space.REC_709
     if b"cHRM" in chunks:
         numbers = struct.unpack(">8I", chunks[b"cHRM"])
         given = tuple(numbers[k] / UNIT for k in WHITE_FIRST)
-    return from_chromaticities(given, curve)
+    return color_space.from_chromaticities(given, curve)
 
 
 def _orientation(exif: bytes | None) -> int:

@@ -16,23 +16,8 @@ import trimesh
 from PIL import Image, UnidentifiedImageError
 
 from svu_mi.capture.image_formats.recognition import SUFFIXES as IMAGE_SUFFIXES
+from svu_mi.capture.importers import mesh_materials as materials
 from svu_mi.capture.importers.gltf_extensions import readable
-from svu_mi.capture.importers.mesh_materials import (
-    FREE,
-    GLTF,
-    NORMALS,
-    Textures,
-    check_gltf,
-    header_of,
-    ignored_in_gltf,
-    ignored_in_obj,
-    is_textured,
-    load_pictures,
-    png_of,
-    textures_of,
-    unread_textures,
-    with_header,
-)
 from svu_mi.capture.importers.normal_pictures import normal_picture
 from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
@@ -69,7 +54,7 @@ class TexturedMesh:
     """
 
     mesh: MeshArrays
-    textures: Textures = field(default_factory=dict)
+    textures: materials.Textures = field(default_factory=dict)
     normals: np.ndarray | None = None
     notes: Sequence[str] = ()
 
@@ -87,7 +72,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
     parts, of_parts = _read_parts(path, files, geometry_only)
     painted = {part.material: part for part in parts if part.material is not None}
     several = len(painted) > 1
-    if several and not geometry_only and any(is_textured(part.visual) for part in parts):
+    if several and not geometry_only and any(materials.is_textured(part.visual) for part in parts):
         raise MeshError(
             f"{path}: has {len(painted)} materials; bake them into one, or import only the "
             "geometry with --geometry-only."
@@ -95,10 +80,10 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
     mesh = _merge_parts(parts, path)
     if geometry_only:
         mesh = replace(mesh, uvs=None)
-    textures: Textures = {}
+    textures: materials.Textures = {}
     normals = None
     if mesh.uvs is not None:
-        textures = {} if several else textures_of(parts[0].visual, path)
+        textures = {} if several else materials.textures_of(parts[0].visual, path)
         uvs = mesh.uvs
         if textures or path.suffix.lower() not in V_DOWN:
             uvs = flipped_v(uvs)
@@ -109,22 +94,22 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
     if files.missing:
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
     if not geometry_only:
-        names = [name for part in parts for name in ignored_in_obj(part.visual)]
+        names = [name for part in parts for name in materials.ignored_in_obj(part.visual)]
         names += ["vertex colours" for part in parts if part.is_colored]
         with path.open("rb") as stream:
             is_colored = path.suffix.lower() == ".obj" and COLORED.search(stream.read(HEADER))
         names += ["vertex colours"] if is_colored else []
-        if path.suffix.lower() in GLTF:
+        if path.suffix.lower() in materials.GLTF:
             with _parser_errors(path):
-                names = ignored_in_gltf(path)
+                names = materials.ignored_in_gltf(path)
                 normals = normal_picture(path, parts[0].visual) if textures else None
-                names = [n for n in names if n != NORMALS or normals is None]
+                names = [n for n in names if n != materials.NORMALS or normals is None]
                 visuals = [part.visual for part in parts]
-                unread = [] if files.missing else unread_textures(path, visuals)
+                unread = [] if files.missing else materials.unread_textures(path, visuals)
             notes += [f"{path}: its {name} could not be read; it is white." for name in unread]
         listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
         notes += [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
-    if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
+    if mesh.uvs is None and any(materials.is_textured(part.visual) for part in parts):
         notes.append(f"{path}: its textures are ignored, and new UVs are computed.")
     return TexturedMesh(mesh=mesh, textures=textures, normals=normals, notes=notes)
 
@@ -163,7 +148,7 @@ class _Part:
         normals = None if own is None else own @ np.linalg.inv(matrix[:3, :3])
         mirrored = np.linalg.det(matrix[:3, :3]) < 0
         uvs = getattr(part.visual, "uv", None)
-        load_pictures(part.visual)
+        materials.load_pictures(part.visual)
         return _Part(
             MeshArrays(
                 positions=np.array(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3],
@@ -212,16 +197,16 @@ def _read_parts(
     given: dict[str, Any] = {"file_obj": path}
     notes: list[str] = []
     with _parser_errors(path):
-        if path.suffix.lower() in GLTF:
-            held = check_gltf(path, geometry_only=geometry_only)
-            header = header_of(path)
+        if path.suffix.lower() in materials.GLTF:
+            held = materials.check_gltf(path, geometry_only=geometry_only)
+            header = materials.header_of(path)
             record, notes = readable(str(path), header, geometry_only=geometry_only)
             if record != header:
-                given["file_obj"] = with_header(path, record)
+                given["file_obj"] = materials.with_header(path, record)
                 given["file_type"] = path.suffix.lower()[1:]
         scene = trimesh.load_scene(**given, resolver=files, process=False)
         placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        if sum(len(part.vertices) for part in placed) > max(FREE, held):
+        if sum(len(part.vertices) for part in placed) > max(materials.FREE, held):
             raise MeshError(f"{path}: has too many instances of parts; bake them into one mesh.")
         parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
         parts = [part for part in parts if len(part.mesh.faces) > 0]
@@ -306,7 +291,7 @@ class _FolderResolver(trimesh.resolvers.Resolver):
                 with Image.open(path):
                     pass  # checks the header; the pixels are decoded later
             if path.suffix.lower() in CONVERTED:
-                return png_of(path)  # trimesh would ignore it
+                return materials.png_of(path)  # trimesh would ignore it
             return path.read_bytes()
         except (
             CaptureError, UnidentifiedImageError, Image.DecompressionBombError, ValueError
