@@ -90,7 +90,10 @@ def _print(console: Console, result: Check, capture: Capture) -> None:
 
 def _remedy(check: Check, capture: Capture) -> str:
     if not check.fixes and check.mesh_scale == 1:
-        return ""
+        undecided = [one.fixes for one in check.findings if one.verdict == "unclear" and one.fixes]
+        if not undecided:
+            return ""
+        return f"To try a correction, import with: {reimport_command(capture, undecided[0])}"
     again = reimport_command(capture, check.fixes, check.mesh_scale)
     return f"Import it again with: {again}"
 

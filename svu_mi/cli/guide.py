@@ -59,8 +59,8 @@ class Guide(EstimateCommand):
     lowest: opt.Number = None
     """Lowest elevation on the sphere in degrees, in [-90, 90); 0: the upper hemisphere, for an
     object on a table (default: -90)."""
-    up: Up = (0.0, 1.0, 0.0)
-    """Up direction of the sphere and of the direction map."""
+    up: Up | None = None
+    """Up direction of the sphere and of the direction map (default: from the cameras)."""
     distance: opt.Number = None
     """Radius of the sphere in units of the scene (default: median distance of the photographs)."""
     reachable: Path | None = None
@@ -84,7 +84,7 @@ class Guide(EstimateCommand):
             with progress.stage("Writing the results") as stage:
                 run = self.run_info(progress, progress=stage.update)
                 write_guidance(
-                    capture, estimate, guidance, place, run, up=self.up,
+                    capture, estimate, guidance, place, run, up=self._up(capture),
                     pictures=self.pictures,
                 )  # fmt: skip
         _print(console, capture, estimate, guidance)
@@ -125,7 +125,16 @@ class Guide(EstimateCommand):
         if count is None:
             return Candidates.without_photograph(capture)
         lowest = -1.0 if self.lowest is None else float(np.sin(np.radians(self.lowest)))
-        return Candidates.around(capture, count, up=self.up, lowest=lowest, distance=self.distance)
+        return Candidates.around(
+            capture, count, up=self._up(capture), lowest=lowest, distance=self.distance
+        )
+
+    def _up(self, capture: Capture) -> tuple[float, float, float]:
+        """Return the given up direction, or that of the cameras."""
+        from svu_mi.capture.up_direction import up_direction
+
+        x, y, z = up_direction(capture).tolist() if self.up is None else self.up
+        return x, y, z
 
     def _reachable(self, candidates: Candidates) -> Candidates:
         """Return the reachable candidates."""
@@ -175,7 +184,7 @@ class Guide(EstimateCommand):
             )
         if self.distance is not None and not 0 < self.distance < np.inf:
             raise OptionError(f"--distance must be positive, got {self.distance:g}.")
-        if not 0 < np.linalg.norm(self.up) < np.inf:
+        if self.up is not None and not 0 < np.linalg.norm(self.up) < np.inf:
             raise OptionError(f"--up must be a direction, got {' '.join(map(str, self.up))}.")
 
     def _check_method(self) -> None:

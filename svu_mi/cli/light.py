@@ -122,6 +122,7 @@ class FindLight(CaptureCommand, ResultCommand):
         unknown = self.capture.photographs.estimates_gains is None and not known
         if own is not None:
             progress.say("The light of the capture is used for comparison only.")
+        self._require_spot(progress, capture)
         with interruptible(lambda: "interrupted; run the same command again"):
             options = replace(options, gains=options.gains or unknown)
             light = estimate_light(capture, grid, options, progress)
@@ -143,6 +144,16 @@ class FindLight(CaptureCommand, ResultCommand):
         if light.gains is not None:
             lines += summary.gain_sentences(light.gains, capture)
         return lines if against is None else [*lines, summary.comparison_sentence(against)]
+
+    def _require_spot(self, progress: Progress, capture: Capture) -> None:
+        """Refuse a grey card that no photograph shows."""
+        from svu_mi.calibration.light.grey_card import texels_at
+        from svu_mi.geometry.texels import texels
+        from svu_mi.posterior.observations import observe
+
+        if self.grey_card is not None:
+            seen = observe(capture, texels(capture.mesh, FINEST_CARD), progress)
+            texels_at(seen, self.grey_card[:2])
 
     def _scaled(self, progress: Progress, capture: Capture, light: LightEstimate) -> LightEstimate:
         """Return the light scaled by --light-scale, --mean-albedo or --grey-card."""

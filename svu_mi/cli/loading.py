@@ -170,11 +170,11 @@ class EstimateCommand(LitCommand):
 
 def print_prediction(progress: Progress, estimate: Estimate) -> None:
     """Print how well held-out photographs are predicted, as a warning if results are unreliable."""
-    predicted = estimate.prediction
+    predicted, sentence = estimate.prediction, estimate.prediction_sentence
     if predicted is not None and predicted.reliable:
-        progress.say(predicted.sentence())
+        progress.say(str(sentence))
     elif predicted is not None:
-        warnings.warn(predicted.sentence(), SvuWarning, stacklevel=2)
+        warnings.warn(str(sentence), SvuWarning, stacklevel=2)
 
 
 def read_capture(

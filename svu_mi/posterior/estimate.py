@@ -78,6 +78,15 @@ class Estimate:
         """
         return self.posterior.entropy()
 
+    @property
+    def prediction_sentence(self) -> str | None:
+        """How well held-out photographs are predicted, and whether the light knew them."""
+        if self.prediction is None:
+            return None
+        is_found = self.observed is not None and self.observed.capture.found_light is not None
+        knew = " The light was estimated from all photographs." if is_found else ""
+        return f"{self.prediction.sentence()}{knew}"
+
     def image(self, name: str) -> np.ndarray:
         """Return a per-texel result as a float32 texture.
 

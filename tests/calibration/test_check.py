@@ -49,6 +49,7 @@ from svu_mi.calibration.checks.thumbnails import (
     reduce_photographs,
     silhouettes,
 )
+from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Flash
 from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
@@ -505,7 +506,7 @@ def test_one_photograph_without_a_light_is_too_few(capture):
     exposures = tuple(np.linspace(1, 2, capture.count))
     recorded = replace(one, exposures=exposures, used=capture.used)
     gain = next(found for found in svu.check(recorded).findings if found.question == "gain")
-    assert "the recorded exposures are used, and no light was given; nothing" in gain.sentence
+    assert "exposures are used, and no light was given; --gains estimate tests" in gain.sentence
 
 
 def test_worst_views_are_ordered_by_silhouette_without_a_light(capture):
@@ -698,3 +699,20 @@ def test_lamps_are_listed_and_not_tested(capture):
         assert "light of lamps is not tested" in said["light"].sentence
         if lit is not flashed:
             assert "from lamp `bulb`" in said["sources"].sentence
+
+
+def test_inverted_masks_are_named(capture):
+    turned = tuple(None if mask is None else ~mask for mask in capture.masks)
+    poses = svu.check(replace(capture, masks=turned)).findings[0]
+    assert poses.verdict == "unclear" and poses.sentence.startswith("The masks show the background")
+
+
+def test_recorded_exposures_that_do_not_fit_are_unclear(capture):
+    log = np.tile(np.linspace(-0.4, 0.4, capture.count)[:, None], (1, 3))
+    gains = FoundGains(log, np.ones(capture.count), np.zeros(capture.count, bool))
+    recorded = replace(capture, exposures=tuple(np.linspace(1, 2, capture.count)))
+    for each, expected in ((recorded, "unclear"), (capture, "note")):
+        found = svu.check(each, gains=lambda: gains).findings
+        gain = next(finding for finding in found if finding.question == "gain")
+        assert gain.verdict == expected
+        assert ("The recorded exposures do not fit." in gain.sentence) == (expected == "unclear")

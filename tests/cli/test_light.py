@@ -275,7 +275,7 @@ def test_light_is_kept_in_the_capture_and_has_one_direction(dark, tmp_path, made
         sensor["to_world"] = (turned @ sensor["to_world"]).tolist()
     (dark / "capture.json").write_text(json.dumps(record))
     estimated = lit(dark)[1]
-    direction = re.search(r"Brightest direction: .* elevation (8\d|90) .*", estimated)
+    direction = re.search(r"Brightest direction, averaged .* elevation (8\d|90) .*", estimated)
     shutil.rmtree(dark / "light")
     assert run("light", dark, *SMALL, "--no-pictures", "-o", tmp_path / "out") == 0
     said = capsys.readouterr().out

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.calibration.checks import decisions, exposure_checks
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
-from svu_mi.calibration.checks.check_result import Check, Finding, Question, Verdict
+from svu_mi.calibration.checks.check_result import Check, Finding, Question, Verdict, ViewMeans
 from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
 from svu_mi.calibration.checks.light_sources import light_shares, sentence
 from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity, fit_masks
@@ -60,6 +60,11 @@ from svu_mi.pipeline import estimate
 SIDE = 128  # maximum side of the compared photographs in pixels
 TEXELS = 48  # texels per side to test light from below
 VIEWS = 40  # maximum number of views for comparing colours
+INSIDE = 0.8  # overlap of mesh and inverted masks, from which the masks are inverted
+INVERTED = (
+    "The masks show the background: inverted, they overlap the mesh. Invert them (white is the "
+    "object), and import again."
+)
 Findings = tuple[Finding, Finding, Finding]  # of poses, light and texture
 
 
@@ -132,9 +137,21 @@ def _find_mistakes(
         description = None if capture.source is None else capture_folder.read(capture.source)
         sentence = wrong.sentence(description.mesh_scale if description else None)
         poses = decisions.with_wrong_scale(poses, sentence, corrected=factor is not None)
-    elif poses.verdict == "unclear" and not poses.fixes and (fit := fit_masks(small)):
-        poses = replace(poses, sentence=f"{poses.sentence}{fit.sentence}")
+    elif poses.verdict == "unclear" and not poses.fixes:
+        if are_inverted(small):
+            poses = replace(poses, sentence=INVERTED)
+        elif fit := fit_masks(small):
+            poses = replace(poses, sentence=f"{poses.sentence}{fit.sentence}")
     return scaled, factor or 1.0, (poses, light, texture), axes
+
+
+def are_inverted(capture: Capture) -> bool:
+    """Return whether the masks show the background instead of the object."""
+    masks = tuple(None if mask is None else ~mask for mask in capture.masks)
+    shown, inverted = (
+        ViewMeans.of(check_views(each)).overlap for each in (capture, replace(capture, masks=masks))
+    )
+    return shown is not None and inverted is not None and inverted > max(INSIDE, shown)
 
 
 def find_axis_mistakes(
@@ -218,7 +235,13 @@ def _gain_finding(capture: Capture, small: Capture, find: Callable[[], FoundGain
         excess = exposure_checks.excess_of(
             *_samples_and_light(small, emitter), exposure_checks.unit_of(capture, small)
         )
-    return decisions.report_gains(excess, gains, gain_sentences(gains, capture))
+    sentences = gain_sentences(gains, capture)
+    return decisions.report_gains(excess, gains, sentences, recorded=_are_recorded(capture))
+
+
+def _are_recorded(capture: Capture) -> bool:
+    """Return whether the photographs were divided by recorded exposures that differ."""
+    return capture.exposures_known and len(set(capture.exposures)) > 1
 
 
 def _samples_and_light(
@@ -240,11 +263,11 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
     """
     emitter = emitter_of(capture)
     if emitter is None:
-        recorded = capture.exposures_known and len(set(capture.exposures)) > 1
+        recorded = _are_recorded(capture)
         known = "the recorded exposures are used, and " if recorded else ""
         few = too_few_for_light(sum(capture.used)) is not None
         otherwise = "take more photographs" if few else "use --gains estimate"
-        advice = "nothing is to be done" if recorded else otherwise
+        advice = "--gains estimate tests them" if recorded else otherwise
         if has_lamps(capture):
             advice = "their gains have to be known"
         return decisions.unknown("gain", f"{known}{without_emitter(capture)}; {advice}")

@@ -257,18 +257,25 @@ def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence
     return Finding(question="gain", verdict="fits", sentence=sentence)
 
 
-def report_gains(excess: Excess | None, gains: FoundGains, sentences: Iterable[str]) -> Finding:
-    """Return the finding of estimated gains; ``sentences`` describe them."""
+def report_gains(
+    excess: Excess | None, gains: FoundGains, sentences: Iterable[str], *, recorded: bool
+) -> Finding:
+    """Return the finding of estimated gains, which ``sentences`` describe.
+
+    ``recorded``: the photographs were divided by recorded exposures that differ.
+    """
+    contradicted = recorded and gains.differ
     too_bright = list(filter(None, [excess and excess.sentence()]))
     if gains.are_equal:
         parts = ["All photographs have the same gain, to about 5 %.", *too_bright]
     else:
         parts = [
-            *sentences, *too_bright, "With --gains estimate, other commands divide by these gains "
-            "and exclude outliers.",
+            *sentences, *too_bright, *["The recorded exposures do not fit."] * contradicted,
+            "Other commands divide by these gains and exclude outliers with --gains estimate, the "
+            "default if neither exposures nor light are known.",
         ]  # fmt: skip
     verdict: Verdict = "fits" if gains.are_equal else "note"
-    if too_bright or gains.odd.any():
+    if too_bright or contradicted or gains.odd.any():
         verdict = "unclear"
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
 

@@ -70,7 +70,7 @@ def scaled_by_card(
         albedo: Base colour of the spot, which is assumed to be grey and not metallic.
     """
     require_albedo(albedo, "The grey card")
-    chosen = _texels_at(observed, uv)
+    chosen = texels_at(observed, uv)
 
     def excess(result: Estimate) -> np.ndarray:
         return _spot(result, chosen)[0] / albedo
@@ -89,7 +89,7 @@ def _spot(result: Estimate, chosen: np.ndarray) -> np.ndarray:
     return np.stack([center, np.sqrt(variance)])
 
 
-def _texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
+def texels_at(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
     """Return the seen texels near texture coordinates."""
     if not all(0 <= value <= 1 for value in uv):
         raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")

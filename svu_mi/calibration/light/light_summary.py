@@ -13,6 +13,7 @@ from svu_mi.light.band_limited import degrees
 from svu_mi.light.environment import Environment, basis_at, polar_from_local, read_environment
 
 BLUR = 15.0  # full width at half maximum of the compared lights, in degrees
+BLURRED = f"averaged over {BLUR:g} degrees"
 DEGREE = 48  # higher degrees are removed by the blur
 POINTS = 2048  # evenly spaced directions
 STANDS_OUT = 2.0  # minimum ratio of the brightest direction to the mean
@@ -102,7 +103,8 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
         return "The light is nearly constant: it has no brightest direction."
     if estimate.moves:
         return (
-            f"Brightest direction: {_vector(toward)} in camera space (+X left, +Y up, +Z forward)."
+            f"Brightest direction, {BLURRED}: {_vector(toward)} in camera space (+X left, +Y up, "
+            "+Z forward)."
         )
     elevation = np.degrees(np.arcsin(np.clip(toward @ up, -1, 1)))
     # Azimuth as in Mitsuba's envmap: from -Z towards +X, if +Y is up.
@@ -110,8 +112,8 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
     azimuth = np.degrees(np.arctan2(toward @ right, toward @ ahead)) % 360
     axes = f"0 is {nearest_axis(ahead)}, 90 is {nearest_axis(right)}"
     return (
-        f"Brightest direction: {_vector(toward)} in world space, elevation {elevation:.0f} "
-        f"degrees, azimuth {azimuth:.0f} degrees ({axes})."
+        f"Brightest direction, {BLURRED}: {_vector(toward)} in world space, elevation "
+        f"{elevation:.0f} degrees, azimuth {azimuth:.0f} degrees ({axes})."
     )
 
 
@@ -119,11 +121,14 @@ def scale_sentence(estimate: LightEstimate) -> str:
     """Return a sentence about the scale of the light."""
     if not estimate.scale_sd.any():
         return "Brightness and colour of the light were given: base colours share their errors."
+    is_set = np.array_equal(estimate.scale_sd, estimate.tint_sd)  # by --mean-albedo or --grey-card
+    common = "" if is_set else (
+        ", and its part common to all channels is removed by --mean-albedo"
+    )
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
         f"light are estimated: {channel_factors(*estimate.scale_interval)} (90 % intervals). It is "
-        "narrowed by --grey-card of svu light, and its part common to all channels is removed by "
-        "--mean-albedo. Metals may deviate further."
+        f"narrowed by --grey-card of svu light{common}. Metals may deviate further."
     )
 
 

@@ -187,7 +187,7 @@ def _summary(
         "cell": f"{max(summary.cell_width.values(), default=0):.2f}",
         "coarse": [label_of(name) for name in summary.cell_width],
         "texture": f"{width} × {height}",
-        "predicted": estimate.prediction and estimate.prediction.sentence(),
+        "predicted": estimate.prediction_sentence,
         "direction": summary_text.facing_direction(estimate, ~result.seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),

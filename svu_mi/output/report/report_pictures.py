@@ -75,6 +75,8 @@ def thumbnails(
         facts += [
             f"{grouped(n)} {kind} pixel{'s' * (n != 1)}" for kind, n in kinds.items() if n > 0
         ]
+        if saturated and capture.masks[view] is None:
+            facts.append("with the background")
         if capture.exposures[view] != 1:
             facts.append(f"exposure × {capture.exposures[view]:#.3g}")
         return ", ".join(facts)
