@@ -6,20 +6,20 @@ each step the new prior is the mean of the posteriors under the current one,
     p(psi) <- mean over texels of p(psi | B_p, L).
 
 This replaces the paper's global sharing (Sec. 5.2), without seeds: texels share probabilities, not
-values. The mean is blurred by the uncertainty of each texel, so it is raised to a power > 1.
-More steps gain more where materials repeat, and lose where textures vary smoothly.
-
-The blur favours what is determined precisely, as the roughness of a metal beside that of rough
-paint, whose highlight is weak. So learning must not raise the mean probability of metals.
+values. The mean is blurred by the uncertainty of each texel. For textures, a texel's neighbours
+sharpen it: bins are weighted by a normal distribution around posterior means that were smoothed
+over the surface. Without neighbours, the mean is raised to a power > 1.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import scipy
 
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.posterior import calibrated_kernel as kernel
@@ -27,9 +27,10 @@ from svu_mi.posterior import row_entropy
 from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.quadrature import bin_widths
+from svu_mi.posterior.quadrature import bin_edges, bin_widths
 
-SHARPNESS = 1.3  # exponent of the mean
+NEAR = 0.5  # standard deviation about smoothed means, relative to the texel's own
+LEAST_SD = 0.03  # its minimum
 
 
 @dataclass(frozen=True)
@@ -37,60 +38,75 @@ class Learning:
     """How strongly texels share a prior.
 
     Attributes:
-        rounds: number of steps; more amplify errors that all texels share.
+        rounds: number of steps; more gain where materials repeat, and amplify common errors.
         otherwise: weight of the original prior, for texels or colours unlike all others.
-        capped: number of steps that lower the prior of metals, until texels are not called metal
-            more often than without sharing.
+        power: exponent of the mean posterior.
     """
 
     rounds: int
     otherwise: float
-    capped: int = 0
+    power: float = 1.0
 
 
-CAREFUL = Learning(1, 0.1, 10)  # loses little where nothing repeats; chosen on our own scenes
-FIRM = Learning(2, 1e-3)  # most accurate where materials repeat
+CAREFUL = Learning(1, 0.1)  # with neighbours; chosen on our own scenes
+FIRM = Learning(2, 1e-3, power=1.3)  # without; loses where textures vary smoothly
 SAMPLE = 1500  # number of texels that the prior is learned from
 LEAST = 1e-30  # replaces 0 in a logarithm
 
 
 def with_empirical_prior(
-    posterior: Posterior[CalibratedKernel], how: Learning = CAREFUL
+    posterior: Posterior[CalibratedKernel], smoothed: Mapping[str, np.ndarray] | None = None
 ) -> Posterior[CalibratedKernel]:
     """Return the posterior under a prior learned by expectation maximisation.
 
     R, G and B have separate base colour priors, given all other parameters. Bins that the present
     prior excludes stay excluded. A posterior with a learned prior is returned unchanged.
+    ``smoothed`` are posterior means smoothed over the surface, (T,) or (T, C) by parameter.
     """
+    how = FIRM if smoothed is None else CAREFUL
     problem = posterior.kernel.problem
     seen = np.flatnonzero(np.array(problem.factors.views))
     if posterior.kernel.learned or len(seen) == 0:
         return posterior
     chosen = seen[evenly_spaced(len(seen), SAMPLE)]
     sample, alone = problem.subset(chosen), prior_tables(problem)
-    own = _mean(sample)
-    learned = _sharpened(own, alone, how.otherwise)
+    likely = 1.0 if smoothed is None else _likely(posterior, chosen, smoothed)
+    learned = _sharpened(_mean(sample, likely), alone, how)
     for _ in range(how.rounds - 1):
-        learned = _sharpened(_mean(_with_prior(sample, learned)), alone, how.otherwise)
-    for _ in range(how.capped):
-        metals = _mean(_with_prior(sample, learned))[:, -1].sum()
-        learned[:, -1] *= min(1, own[:, -1].sum() / max(metals, LEAST))
-        learned /= learned.sum(axis=(0, 1, 2))
+        learned = _sharpened(_mean(_with_prior(sample, learned), likely), alone, how)
     problem = _with_prior(problem, learned)
     summary = kernel.summarize(problem)
     of_texels = replace(posterior.kernel, problem=problem, summary=summary, learned=True)
     return replace(posterior, kernel=of_texels)
 
 
-def _mean(sample: CalibratedProblem) -> np.ndarray:
-    """Return the mean posterior of the sample's texels, (R, M, K, C)."""
+def _mean(sample: CalibratedProblem, likely: np.ndarray | float = 1.0) -> np.ndarray:
+    """Return the mean posterior (R, M, K, C) of t texels, weighted by ``likely`` (``_likely``)."""
     everyone = np.arange(sample.factors.count)
-    return np.asarray(kernel.bin_probabilities(sample, everyone).mean(axis=0, dtype=float))
+    weighted = kernel.bin_probabilities(sample, everyone) * likely
+    weighted /= np.maximum(weighted.sum(axis=(1, 2, 3), keepdims=True), LEAST)
+    return np.asarray(weighted.mean(axis=0, dtype=float))
 
 
-def _sharpened(mean: np.ndarray, alone: np.ndarray, otherwise: float) -> np.ndarray:
+def _likely(
+    posterior: Posterior[CalibratedKernel], lanes: np.ndarray, smoothed: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Return masses of bins under normal distributions around smoothed means, (t, R, M, K, C)."""
+    own, problem = posterior.kernel.without_common_scale(), posterior.kernel.problem
+    texels, total = problem.factors.texel.numpy()[lanes], np.ones((len(lanes), 1, 1))
+    for name, nodes in posterior.axes.items():
+        mean = smoothed[name][texels].reshape(len(texels), -1, 1)
+        sd = np.maximum(NEAR * own.moments(name, texels)[1], LEAST_SD)[:, :, None]
+        below = scipy.special.ndtr((bin_edges(nodes)[1:-1] - mean) / sd)
+        masses = np.moveaxis(np.diff(below, prepend=0, append=1), 2, 1)
+        product = total[:, :, None] * masses[:, None]  # (t, bins so far, bins, C)
+        total = product.reshape(len(texels), -1, product.shape[3])
+    return np.maximum(total, LEAST).reshape(len(texels), *problem.shape, -1)
+
+
+def _sharpened(mean: np.ndarray, alone: np.ndarray, how: Learning) -> np.ndarray:
     """Sharpen the mean posterior, (R, M, K, C), and mix it with the prior ``alone``."""
-    sharp = mean**SHARPNESS
+    sharp, otherwise = mean**how.power, how.otherwise
     result = (1 - otherwise) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
     result += otherwise * alone
     rows = result.sum(axis=2, keepdims=True)  # per channel; averaged below

@@ -11,7 +11,6 @@ from svu_mi.core.progress import Progress
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import estimate, materialized
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
-from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
@@ -23,26 +22,19 @@ from svu_mi.statistics.gather_statistics import Weighting
 
 
 def estimate_for_textures(
-    given: Estimate | None, observed: Observed, *, robust: int, sharing: bool, progress: Progress
-) -> Estimate:  # fmt: skip
+    given: Estimate | None, observed: Observed, robust: int, progress: Progress
+) -> Estimate:
     """Return an RGB estimate with a noise level per texel (``CalibratedKernel``).
 
     If ``given`` is not such an estimate, its posterior is recomputed with the same reflection model
     and known values; visibility is reused. ``robust`` is the number of re-weighting passes.
-    ``sharing`` replaces the prior by one that is learned from all texels.
     """
     estimated = materialized(given or estimate(observed, whole=True, progress=progress), progress)
-    kernel = estimated.posterior.kernel
-    sharing = sharing or (isinstance(kernel, CalibratedKernel) and kernel.learned)
     if not supports_texture_field(estimated):
         estimated = _reestimated_in_color(estimated, observed, progress)
     for _ in range(robust):
         with progress.stage("Reweighting samples"):
             estimated = replace(estimated, posterior=_reweighted(estimated, observed))
-    if sharing:
-        with progress.stage("Learning the common prior"):
-            assert isinstance(estimated.posterior.kernel, CalibratedKernel)
-            estimated = replace(estimated, posterior=with_empirical_prior(estimated.posterior))
     return estimated
 
 

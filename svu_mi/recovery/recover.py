@@ -39,13 +39,11 @@ from svu_mi.recovery.recovery_result import Recovery
 from svu_mi.recovery.recovery_run import LossTerm, RecoveryRun, check_choices, require_resolution
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
-from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior, SmoothedStart
+from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
 
-# Tuned on the example scenes:
-START_SMOOTHING = 0.6  # factor of the TV weight for the start: weaker, to keep material edges
-PRIOR_WEIGHT = 0.5  # weight of the quadratic prior around the posterior means
+PRIOR_WEIGHT = 0.5  # weight of the quadratic prior around the posterior means (example scenes)
 Result = tuple[Textures, Descent]
 
 
@@ -121,7 +119,8 @@ def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | N
     options = run.options["sh"]
     data = _sh_loss(run, options)
     if options.loss == "statistics" and options.closed_form and run.start is None:
-        start = _smoothed(run, options, start.but(**run.free(posterior_means(run.estimate))))
+        means = start.but(**run.free(posterior_means(run.estimate)))
+        start = run.smoothed(run.estimate, options, means)
     return _minimise(run, "Descending (SH)", start, data, options, checkpoint)
 
 
@@ -138,20 +137,6 @@ def _sh_loss(run: RecoveryRun, options: ShOptions) -> Objective:
             model = replace(run.paper.switches("angular"), channels="joint")
             return angular_objective(run.observed, model)
         return spectral_objective(run.observed, run.paper.switches("spectrum"), options.loss)
-
-
-def _smoothed(run: RecoveryRun, options: ShOptions, means: Textures) -> Textures:
-    """Smooth posterior means by total variation, weighted by their inverse variances."""
-    if not options.tv:
-        return means
-    variation = START_SMOOTHING * run.tv_weight(options), options.tv_epsilon
-    around = run.tv_neighbors(options)
-    smoothing = SmoothedStart.of(run.posterior, run.texels, run.names, around, variation)
-    with run.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
-        descent = descend(
-            smoothing, smoothing.start(means), smoothing.options(options.smoothing), progress=stage
-        )
-    return smoothing.laid_out(means, descent.values)
 
 
 def _recover_by_path(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | None) -> Result:

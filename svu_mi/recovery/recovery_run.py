@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import sqrt
 from pathlib import Path
@@ -15,19 +15,26 @@ from svu_mi.geometry.neighbors import Neighbors, neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.recovery.adam import descend
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.initialisation import estimate_for_textures, known_parameters
+from svu_mi.recovery.initialisation import (
+    estimate_for_textures,
+    known_parameters,
+    posterior_means,
+)
 from svu_mi.recovery.paper_settings import PaperSettings
 from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.regularizers.total_variation import TotalVariation
-from svu_mi.recovery.sh.likelihood import QuadraticPrior
+from svu_mi.recovery.sh.likelihood import QuadraticPrior, SmoothedStart
 from svu_mi.recovery.svbrdf_textures import Textures, scene_textures, uniform_textures
 
+START_SMOOTHING = 0.6  # factor of the TV weight: weaker, to keep material edges (example scenes)
 LossTerm = Callable[[dict[str, Any]], Any]
 
 
@@ -123,12 +130,33 @@ class RecoveryRun:
     def estimate(self) -> Estimate:
         """Per-texel posterior, under a common prior if that is the kind of sharing."""
         self.estimate_used = True
-        return estimate_for_textures(
-            self.given, self.observed, progress=self.progress,
-            robust=0 if self.method == "path" else self.options["sh"].robust,
-            sharing=self.sharing is True
-            and any(one.common_prior and one.sharing > 0 for one in self.options.values()),
-        )  # fmt: skip
+        robust = 0 if self.method == "path" else self.options["sh"].robust
+        estimated = estimate_for_textures(self.given, self.observed, robust, self.progress)
+        shares = self.sharing is True and any(
+            one.common_prior and one.sharing > 0 for one in self.options.values()
+        )
+        given = None if self.given is None else self.given.posterior.kernel
+        if not (shares or (isinstance(given, CalibratedKernel) and given.learned)):
+            return estimated
+        near = self.smoothed(estimated, ShOptions(), posterior_means(estimated))
+        with self.progress.stage("Learning the common prior"):
+            values = {name: near.at(self.texels, name) for name in NAMES}
+            learned = with_empirical_prior(estimated.posterior, smoothed=values)
+        return replace(estimated, posterior=learned)
+
+    def smoothed(self, estimated: Estimate, options: ShOptions, means: Textures) -> Textures:
+        """Smooth posterior means by total variation, weighted by their inverse variances."""
+        if not options.tv:
+            return means
+        variation = START_SMOOTHING * self.tv_weight(options), options.tv_epsilon
+        around = self.tv_neighbors(options)
+        smoothing = SmoothedStart.of(
+            estimated.posterior, self.texels, self.names, around, variation
+        )
+        with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
+            start, steps = smoothing.start(means), smoothing.options(options.smoothing)
+            descent = descend(smoothing, start, steps, progress=stage)
+        return smoothing.laid_out(means, descent.values)
 
     @property
     def posterior(self) -> Posterior[CalibratedKernel]:

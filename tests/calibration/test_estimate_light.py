@@ -46,7 +46,7 @@ from svu_mi.calibration.light.light_transport import (
 from svu_mi.calibration.light.light_uncertainty import sample_lights, scale_of, widening_of
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.posterior.empirical_bayes import FIRM, with_empirical_prior
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.reflection.lobes import ALBEDO_NODES, dielectric_albedo, split_sum
 
 SHINY = {"type": "principled", "roughness": 0.25, "metallic": 1.0,
@@ -234,7 +234,7 @@ def test_elimination_equals_full_normal_equations(known):
     tau = SWITCHES.overdispersion
     columns = normal_equations(transport, np.exp(x), posterior, tau, LightPriors(prior_of(64)))
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
-    materials = materials_of(with_empirical_prior(posterior, FIRM))
+    materials = materials_of(with_empirical_prior(posterior))
     assert not known or np.all(materials.mixed == 0.25)
     joint = Joint(samples, x, materials, w, 1e-4 if known else MATERIAL_SD[1])
     H, g = joint.normal()

@@ -38,7 +38,7 @@ from svu_mi.calibration.light.light_transport import (
 from svu_mi.calibration.light.resolve_light import with_resolved_light
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.posterior.empirical_bayes import FIRM, with_empirical_prior
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.observations import observe
 
 ODD = (3, 11, 17)
@@ -69,7 +69,7 @@ def test_gains_and_light_equal_full_normal_equations():
     gains = random_gains(6)
     system = normal_equations(transport, np.exp(x), posterior, tau, gains=gains)
 
-    materials = materials_of(with_empirical_prior(posterior, FIRM))
+    materials = materials_of(with_empirical_prior(posterior))
     slopes, r = _linearized(transport, np.exp(x), materials)
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * tau)
     count, n = samples.count, 3 * 6

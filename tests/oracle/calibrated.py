@@ -165,14 +165,15 @@ class Truth:
 
 def common_prior(
     sums: np.ndarray, weight: np.ndarray, views: np.ndarray, alone: np.ndarray, *, rounds: int,
-    sharpness: float, otherwise: float, capped: int, **options: Any,
+    sharpness: float, otherwise: float, likely: np.ndarray | float = 1.0, **options: Any,
 ) -> np.ndarray:  # fmt: skip
     """Expectation maximisation: the prior (R, M, K, C) is the mean of the posteriors it leads to,
-    sharpened by a power, with some room for texels unlike all others. ``capped`` steps return the
-    mean probability of the last bin of metallic to what it was, if it rose."""
+    sharpened by a power, with some room for texels unlike all others. Weights ``likely`` of cells
+    (T, R, M, K, C) stand for what a texel's neighbours show."""
 
     def mean_under(prior: np.ndarray | None) -> np.ndarray:
-        return posterior(sums, weight, views, prior=prior, **options).cells.mean(axis=0)
+        cells = posterior(sums, weight, views, prior=prior, **options).cells * likely
+        return (cells / cells.sum(axis=(1, 2, 3), keepdims=True)).mean(axis=0)
 
     prior = None
     for _ in range(rounds):
@@ -182,11 +183,6 @@ def common_prior(
         given = (1 - otherwise) * mixed / of_rows
         given += otherwise * (alone / alone.sum(axis=2, keepdims=True))[..., None]
         prior = given * of_rows.mean(axis=-1, keepdims=True)
-    before = mean_under(None)[:, -1].sum()
-    for _ in range(capped):
-        metals = mean_under(prior)[:, -1].sum()
-        prior[:, -1] /= max(1, metals / before)
-        prior = prior / prior.sum(axis=(0, 1, 2))
     return prior
 
 

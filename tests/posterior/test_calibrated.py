@@ -349,17 +349,26 @@ def test_a_prior_of_cells_is_bayes() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [empirical_bayes.CAREFUL, empirical_bayes.FIRM])
 def test_shared_prior_matches_expectation_maximisation(how: empirical_bayes.Learning) -> None:
-    """Compare with the prior that the oracle learns from the same texels."""
-    samples, _ = simulate(100, 12, 0.2)
+    """Compare with the prior that the oracle learns from the same texels, and their neighbours."""
+    samples, smoothed = simulate(100, 12, 0.2)
     alone = calibrated_posterior(statistics(samples), preset=switches(bare_metals=0.0))
     options = {"tau": 3.5, "nu": 4, "r": PARTS[0], "m": PARTS[1]}
     given = samples.sums(), samples.w.sum(axis=1), np.full(100, 12)
+    own, near = oracle.posterior(*given, **options), {}
+    ends = np.array([-1e9, *(np.arange(7) + 0.5) / 7, 1e9])  # normals are cut off at 0 and 1
+    for name, sd in own.sd.items():
+        width = np.maximum(0.5 * sd, 0.03).reshape(100, -1)
+        z = (ends[:, None, None] - smoothed[name].reshape(100, -1)) / width
+        near[name] = np.diff(stats.norm.cdf(z), axis=0)  # (K, T, C)
+    likely = np.einsum("rt,mt,ktc->trmkc", near["roughness"][..., 0], near["metallic"][..., 0],
+                       near["base_color"])  # fmt: skip
+    careful = how is empirical_bayes.CAREFUL
     prior = oracle.common_prior(
-        *given, alone.prior, rounds=how.rounds, sharpness=empirical_bayes.SHARPNESS,
-        otherwise=how.otherwise, capped=how.capped, **options,
+        *given, alone.prior, rounds=how.rounds, sharpness=how.power, otherwise=how.otherwise,
+        likely=likely + 1e-30 if careful else 1.0, **options,
     )  # fmt: skip
     truth = oracle.posterior(*given, prior=prior, **options)
-    shared = empirical_bayes.with_empirical_prior(alone, how)
+    shared = empirical_bayes.with_empirical_prior(alone, smoothed if careful else None)
     np.testing.assert_allclose(shared.prior, prior.mean(axis=-1), atol=2e-5)
     assert np.abs(np.array(shared.probabilities) - truth.cells).max() < 2e-4
     for name in ("roughness", "metallic"):

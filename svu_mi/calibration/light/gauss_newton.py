@@ -15,7 +15,7 @@ from svu_mi.calibration.light.light_transport import Materials, Transport, mater
 from svu_mi.errors import CaptureError
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel
-from svu_mi.posterior.empirical_bayes import FIRM, with_empirical_prior
+from svu_mi.posterior.empirical_bayes import with_empirical_prior
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.reflection.principled import mixture_derivative
 
@@ -107,7 +107,7 @@ def normal_equations(
     """
     samples = transport.samples
     # Use the shared prior, as independent uncertain texels would bias the light.
-    materials = materials_of(with_empirical_prior(posterior, FIRM))
+    materials = materials_of(with_empirical_prior(posterior))
     slopes, predicted = _linearized(transport, light, materials)
     views = 0 if gains is None else len(gains)
     if priors is None:
