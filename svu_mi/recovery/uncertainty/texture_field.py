@@ -12,8 +12,13 @@ correlated over a neighbourhood, and smoothing does not reduce them. Deviations 
 
 m and b are mean and standard deviation of a texel's own posterior, and g is a smooth random field
 of variance 1. A b is the standard deviation after smoothing if all errors are correlated. The
-second term of c^2 averages |x0 - m| over a small neighbourhood (d is constant). Values x are
-clipped to [0, 1]; their standard deviations are enlarged to compensate for the clipping.
+second term of c^2 averages |x0 - m| over a small neighbourhood (d is constant).
+
+Errors that neighbours share differ between places, and x0 varies with them. If x0 varies by v over
+``REACH`` (mean slope of all texels), c^2 is thus reduced to c^2 min(1, f^2 + v^2 / (c^2 + v^2)),
+where f is the share that the whole object may have in common. Flat textures have small v.
+
+Values x are clipped to [0, 1]; their standard deviations are enlarged to compensate for that.
 """
 
 from __future__ import annotations
@@ -61,6 +66,7 @@ from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 COMMON, COMMON_MIXED = 0.5, 1.0
 DISAGREEMENT, DISAGREEMENT_MIXED = 1.2, 2.4  # a
 NARROW = 0.1  # d, relative to the median of K's diagonal
+REACH, SHARED = 0.4, 0.3  # distance of v, relative to the object's extent; f
 LENGTH = 0.1  # correlation length of g, relative to the object's extent
 INTERVAL_MASS = 0.9
 TINY = 1e-9
@@ -77,6 +83,7 @@ class TextureField:
         own_mean: m, (N, T): posterior means of the N values of all parameters, base colour first.
         deviation: b, (N, T): posterior standard deviations.
         common: rho, (N, T); 1 for unseen texels.
+        variation: v, (N, T); infinite for unseen texels.
         roots: Function that returns Cholesky factors of each texel's correlations, (T, N, N);
             needed for draws only.
         scale: Standard deviation of the logarithm of a base colour factor that is common to all
@@ -101,6 +108,7 @@ class TextureField:
     own_mean: np.ndarray
     deviation: np.ndarray
     common: np.ndarray
+    variation: np.ndarray
     roots: Callable[[], np.ndarray]
     scale: np.ndarray
     smoother: Smoother
@@ -176,10 +184,12 @@ class TextureField:
     def _coherent_sd(self) -> np.ndarray:
         """Correlated standard deviation c, (N, T)."""
         schema = {"sd": Field("f8", self.deviation.shape, 0, np.inf)}
-        return self.cache.recall(
+        sd = self.cache.recall(
             "field", self._inputs() if self.cache.folder else [], self._solved,
             lambda sd: {"sd": sd}, lambda arrays: checked(arrays, schema, closed=True)["sd"],
         )  # fmt: skip
+        varies = 1 / (1 + np.square(sd / self.variation))
+        return sd * np.sqrt(np.minimum(1, SHARED**2 + varies))
 
     def _inputs(self) -> list[Any]:
         """Return everything that the correlated standard deviation depends on."""
@@ -336,6 +346,7 @@ def field_around(
     return TextureField(
         texels=texels, textures=textures, names=tuple(names), own_mean=own_mean,
         deviation=deviation, common=_common(posterior), smoother=smoother,
+        variation=np.where(posterior.observed, _variation(x0, texels, around), np.inf),
         roots=cache(partial(correlation_roots, posterior, values)),
         scale=np.asarray(posterior.kernel.common),
         cache=ArrayCache() if estimate.observed is None else estimate.observed.cache,
@@ -346,6 +357,15 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
     """Return rho, the correlated share of the variance, (N, T)."""
     parts = _by_row(COMMON, COMMON_MIXED)
     return np.where(posterior.observed, parts, 1.0).astype(np.float32)
+
+
+def _variation(x0: np.ndarray, texels: Texels, around: Neighbors) -> np.ndarray:
+    """Return what values ``x0``, (N, T), vary over ``REACH``: mean slope times distance, (N, 1)."""
+    first, second = (np.array(column) for column in around.pairs)
+    place = np.array(texels.position)
+    length = np.linalg.norm(place[:, first] - place[:, second], axis=0).sum()
+    rise = [np.abs(row[first] - row[second]).sum() for row in x0]
+    return np.maximum(REACH * texels.extent / max(length, TINY) * np.array(rise), TINY)[:, None]
 
 
 def _by_row(value: float, mixed: float) -> np.ndarray:
