@@ -14,7 +14,7 @@ over the surface. Without neighbours, the mean is raised to a power > 1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -31,25 +31,10 @@ from svu_mi.posterior.quadrature import bin_edges, bin_widths
 
 NEAR = 0.5  # standard deviation about smoothed means, relative to the texel's own
 LEAST_SD = 0.03  # its minimum
-
-
-@dataclass(frozen=True)
-class Learning:
-    """How strongly texels share a prior.
-
-    Attributes:
-        rounds: number of steps; more gain where materials repeat, and amplify common errors.
-        otherwise: weight of the original prior, for texels or colours unlike all others.
-        power: exponent of the mean posterior.
-    """
-
-    rounds: int
-    otherwise: float
-    power: float = 1.0
-
-
-CAREFUL = Learning(1, 0.1)  # with neighbours; chosen on our own scenes
-FIRM = Learning(2, 1e-3, power=1.3)  # without; loses where textures vary smoothly
+# Number of steps (more amplify errors that all texels share), weight of the original prior (for
+# texels or colours unlike all others), and exponent of the mean posterior:
+CAREFUL = 1, 0.1, 1.0  # with neighbours; chosen on our own scenes
+FIRM = 2, 1e-3, 1.3  # without; loses where textures vary smoothly
 SAMPLE = 1500  # number of texels that the prior is learned from
 LEAST = 1e-30  # replaces 0 in a logarithm
 
@@ -63,7 +48,7 @@ def with_empirical_prior(
     prior excludes stay excluded. A posterior with a learned prior is returned unchanged.
     ``smoothed`` are posterior means smoothed over the surface, (T,) or (T, C) by parameter.
     """
-    how = FIRM if smoothed is None else CAREFUL
+    rounds, *how = FIRM if smoothed is None else CAREFUL
     problem = posterior.kernel.problem
     seen = np.flatnonzero(np.array(problem.factors.views))
     if posterior.kernel.learned or len(seen) == 0:
@@ -71,9 +56,9 @@ def with_empirical_prior(
     chosen = seen[evenly_spaced(len(seen), SAMPLE)]
     sample, alone = problem.subset(chosen), prior_tables(problem)
     likely = 1.0 if smoothed is None else _likely(posterior, chosen, smoothed)
-    learned = _sharpened(_mean(sample, likely), alone, how)
-    for _ in range(how.rounds - 1):
-        learned = _sharpened(_mean(_with_prior(sample, learned), likely), alone, how)
+    learned = _sharpened(_mean(sample, likely), alone, *how)
+    for _ in range(rounds - 1):
+        learned = _sharpened(_mean(_with_prior(sample, learned), likely), alone, *how)
     problem = _with_prior(problem, learned)
     summary = kernel.summarize(problem)
     of_texels = replace(posterior.kernel, problem=problem, summary=summary, learned=True)
@@ -104,9 +89,9 @@ def _likely(
     return np.maximum(total, LEAST).reshape(len(texels), *problem.shape, -1)
 
 
-def _sharpened(mean: np.ndarray, alone: np.ndarray, how: Learning) -> np.ndarray:
+def _sharpened(mean: np.ndarray, alone: np.ndarray, otherwise: float, power: float) -> np.ndarray:
     """Sharpen the mean posterior, (R, M, K, C), and mix it with the prior ``alone``."""
-    sharp, otherwise = mean**how.power, how.otherwise
+    sharp = mean**power
     result = (1 - otherwise) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
     result += otherwise * alone
     rows = result.sum(axis=2, keepdims=True)  # per channel; averaged below
