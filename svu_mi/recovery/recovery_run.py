@@ -21,11 +21,7 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.adam import descend
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.initialisation import (
-    estimate_for_textures,
-    known_parameters,
-    posterior_means,
-)
+from svu_mi.recovery.initialisation import estimate_for_textures, known_parameters, posterior_means
 from svu_mi.recovery.paper_settings import PaperSettings
 from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions

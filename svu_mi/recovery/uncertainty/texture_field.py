@@ -15,7 +15,7 @@ of variance 1. A b is the standard deviation after smoothing if all errors are c
 second term of c^2 averages |x0 - m| over a small neighbourhood (d is constant).
 
 Errors that neighbours share differ between places, and x0 varies with them. If x0 varies by v over
-``REACH`` (mean slope of all texels), c^2 is thus reduced to c^2 min(1, f^2 + v^2 / (c^2 + v^2)),
+``REACH`` (mean slope of seen texels), c^2 is thus reduced to c^2 min(1, f^2 + v^2 / (c^2 + v^2)),
 where f is the share that the whole object may have in common. Flat textures have small v.
 
 Values x are clipped to [0, 1]; their standard deviations are enlarged to compensate for that.
@@ -66,7 +66,7 @@ from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 COMMON, COMMON_MIXED = 0.5, 1.0
 DISAGREEMENT, DISAGREEMENT_MIXED = 1.2, 2.4  # a
 NARROW = 0.1  # d, relative to the median of K's diagonal
-REACH, SHARED = 0.4, 0.3  # distance of v, relative to the object's extent; f
+REACH, SHARED = 0.2, 0.25  # distance of v, relative to the object's extent; f
 LENGTH = 0.1  # correlation length of g, relative to the object's extent
 INTERVAL_MASS = 0.9
 TINY = 1e-9
@@ -346,7 +346,7 @@ def field_around(
     return TextureField(
         texels=texels, textures=textures, names=tuple(names), own_mean=own_mean,
         deviation=deviation, common=_common(posterior), smoother=smoother,
-        variation=np.where(posterior.observed, _variation(x0, texels, around), np.inf),
+        variation=_variation(x0, texels, around, posterior.observed),
         roots=cache(partial(correlation_roots, posterior, values)),
         scale=np.asarray(posterior.kernel.common),
         cache=ArrayCache() if estimate.observed is None else estimate.observed.cache,
@@ -359,13 +359,15 @@ def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
     return np.where(posterior.observed, parts, 1.0).astype(np.float32)
 
 
-def _variation(x0: np.ndarray, texels: Texels, around: Neighbors) -> np.ndarray:
-    """Return what values ``x0``, (N, T), vary over ``REACH``: mean slope times distance, (N, 1)."""
+def _variation(x0: np.ndarray, texels: Texels, around: Neighbors, seen: np.ndarray) -> np.ndarray:
+    """Return what ``x0`` varies over ``REACH``, mean slope times distance, (N, T)."""
     first, second = (np.array(column) for column in around.pairs)
-    place = np.array(texels.position)
+    both = seen[first] & seen[second]
+    first, second, place = first[both], second[both], np.array(texels.position)
     length = np.linalg.norm(place[:, first] - place[:, second], axis=0).sum()
     rise = [np.abs(row[first] - row[second]).sum() for row in x0]
-    return np.maximum(REACH * texels.extent / max(length, TINY) * np.array(rise), TINY)[:, None]
+    varies = np.maximum(REACH * texels.extent / max(length, TINY) * np.array(rise), TINY)
+    return np.where(seen, varies[:, None], np.inf)
 
 
 def _by_row(value: float, mixed: float) -> np.ndarray:
