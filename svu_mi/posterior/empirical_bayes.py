@@ -8,7 +8,8 @@ each step the new prior is the mean of the posteriors under the current one,
 This replaces the paper's global sharing (Sec. 5.2), without seeds: texels share probabilities, not
 values. The mean is blurred by the uncertainty of each texel. For textures, a texel's neighbours
 sharpen it: bins are weighted by a normal distribution around posterior means that were smoothed
-over the surface. Without neighbours, the mean is raised to a power > 1.
+over the surface, and the mean is raised to a power < 1, since smoothing counts the prior of each
+texel. Without neighbours, the power is > 1.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import bin_edges, bin_widths
 
-NEAR = 0.5  # standard deviation about smoothed means, relative to the texel's own
+NEAR = 0.3  # standard deviation about smoothed means, relative to the texel's own
 LEAST_SD = 0.03  # its minimum
 # Number of steps (more amplify errors that all texels share), weight of the original prior (for
 # texels or colours unlike all others), and exponent of the mean posterior:
-CAREFUL = 1, 0.1, 1.0  # with neighbours; chosen on our own scenes
+CAREFUL = 1, 0.1, 0.8  # with neighbours; chosen on our own scenes
 FIRM = 2, 1e-3, 1.3  # without; loses where textures vary smoothly
 SAMPLE = 1500  # number of texels that the prior is learned from
 LEAST = 1e-30  # replaces 0 in a logarithm
