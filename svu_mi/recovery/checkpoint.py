@@ -22,7 +22,7 @@ from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.core.io.schema import LARGEST, TEXT, WHOLE, Field, checked
 from svu_mi.errors import OptionError, OutputError, excerpt
 
-FORMAT = 5  # incremented when older checkpoints would give other results
+FORMAT = 6  # incremented when older checkpoints would give other results
 LOWEST = -LARGEST  # lower limit of finite numbers
 GROUPS = ("values", "first", "second")  # attributes of a state with one array per parameter
 # Arrays of every checkpoint.

@@ -120,7 +120,7 @@ def _recover_by_sh(run: RecoveryRun, start: Textures, checkpoint: Checkpoint | N
     data = _sh_loss(run, options)
     if options.loss == "statistics" and options.closed_form and run.start is None:
         means = start.but(**run.free(posterior_means(run.estimate)))
-        start = run.smoothed(run.estimate, options, means)
+        start = run.smoothed(run.estimate, run.names, options, means)
     return _minimise(run, "Descending (SH)", start, data, options, checkpoint)
 
 

@@ -134,21 +134,21 @@ class RecoveryRun:
         given = None if self.given is None else self.given.posterior.kernel
         if not (shares or (isinstance(given, CalibratedKernel) and given.learned)):
             return estimated
-        near = self.smoothed(estimated, ShOptions(), posterior_means(estimated))
+        near = self.smoothed(estimated, NAMES, ShOptions(), posterior_means(estimated))
         with self.progress.stage("Learning the common prior"):
             values = {name: near.at(self.texels, name) for name in NAMES}
             learned = with_empirical_prior(estimated.posterior, smoothed=values)
         return replace(estimated, posterior=learned)
 
-    def smoothed(self, estimated: Estimate, options: ShOptions, means: Textures) -> Textures:
+    def smoothed(
+        self, estimated: Estimate, names: Sequence[str], options: ShOptions, means: Textures
+    ) -> Textures:
         """Smooth posterior means by total variation, weighted by their inverse variances."""
         if not options.tv:
             return means
         variation = START_SMOOTHING * self.tv_weight(options), options.tv_epsilon
         around = self.tv_neighbors(options)
-        smoothing = SmoothedStart.of(
-            estimated.posterior, self.texels, self.names, around, variation
-        )
+        smoothing = SmoothedStart.of(estimated.posterior, self.texels, names, around, variation)
         with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
             start, steps = smoothing.start(means), smoothing.options(options.smoothing)
             descent = descend(smoothing, start, steps, progress=stage)
