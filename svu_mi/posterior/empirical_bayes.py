@@ -30,7 +30,7 @@ from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import bin_edges, bin_widths
 
-NEAR = 0.3  # standard deviation about smoothed means, relative to the texel's own
+NEAR = 0.5  # standard deviation about smoothed means, relative to the texel's own
 LEAST_SD = 0.03  # its minimum
 # Number of steps (more amplify errors that all texels share), weight of the original prior (for
 # texels or colours unlike all others), and exponent of the mean posterior:

@@ -357,7 +357,7 @@ def test_shared_prior_matches_expectation_maximisation(careful: bool) -> None:
     own, near = oracle.posterior(*given, **options), {}
     ends = np.array([-1e9, *(np.arange(7) + 0.5) / 7, 1e9])  # normals are cut off at 0 and 1
     for name, sd in own.sd.items():
-        width = np.maximum(0.3 * sd, 0.03).reshape(100, -1)
+        width = np.maximum(0.5 * sd, 0.03).reshape(100, -1)
         z = (ends[:, None, None] - smoothed[name].reshape(100, -1)) / width
         near[name] = np.diff(stats.norm.cdf(z), axis=0)  # (K, T, C)
     likely = np.einsum("rt,mt,ktc->trmkc", near["roughness"][..., 0], near["metallic"][..., 0],
