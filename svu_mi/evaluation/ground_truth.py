@@ -1,7 +1,5 @@
 """Ground truth of a synthetic capture (textures of its scene), and errors against it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svu_mi.capture.capture import Capture

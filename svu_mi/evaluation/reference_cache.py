@@ -1,7 +1,5 @@
 """Disk cache of references: one file per hash of scene, photographs and options."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from dataclasses import fields

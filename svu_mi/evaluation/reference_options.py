@@ -1,7 +1,5 @@
 """Options of a reference, checked before tracing starts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Visible (texel, view) pairs with observed radiance and camera rays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Diffuse and specular reflection of a flash, whose direction differs between views."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ Cells may be larger than narrow lobes. GGX is widened by the half-angle of the c
 energy and hides gaps between cells: alpha^2 + rho^2 / 4, as the half vector turns half as far.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ A lobe of width alpha is approximated by a rotationally symmetric one, so that l
 prefiltered (light/prefiltered.py). Its direction and albedo depend on the viewing angle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache, partial
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """Radiance of one sample as a mixture of diffuse and specular parts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -7,8 +7,6 @@ lobe d of a dielectric, and the lobe of a metal, c p + q with Schlick's Fresnel 
     r = (1 - m) (c e + d) + m (c p + q).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

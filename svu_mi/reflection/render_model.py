@@ -4,8 +4,6 @@ Prefiltered light and albedo are interpolated linearly between two roughness lev
 is replaced by a symmetric one of equal solid angle, with width alpha sqrt(cos theta_h).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

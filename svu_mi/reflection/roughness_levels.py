@@ -4,8 +4,6 @@ Levels are closer together where lobes are narrow: level k of R has the roughnes
 (k / (R - 1))^``POWER``. Interpolation is uniform in k.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

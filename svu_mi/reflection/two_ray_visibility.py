@@ -7,8 +7,6 @@ weights of few samples are normalised, which makes surfaces up to 10 % too brigh
 light is occluded.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta
 theta_h. Cells with large rho^2 / (s cos^2 theta_d), near the mirror direction, are subdivided.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product

@@ -98,7 +98,8 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
         SceneError: the capture has no light.
 
     Example:
-        >>> svu.refine_poses(capture).pixels < 0.1  # these poses were exact
+        >>> some = svu.load_capture("capture", views=[0, 4, 8])
+        >>> svu.refine_poses(some).pixels < 0.1  # these poses were exact
         True
     """
     require_variant()
