@@ -96,6 +96,7 @@ def draw_real(records: dict[str, Record]) -> Figure | None:
             held.plot(MASSES, parts, mark + "-", color=color, label=label)
     views.set_ylim(max(min(-0.1, *(min(row["views"], default=0) for row in case["rows"].values())),
                        -1), 1)  # fmt: skip
+    views.xaxis.get_major_locator().set_params(integer=True)
     views.set(xlabel="held-out photograph", ylabel="R² of its radiance",
               title=f"{case['cell']}: photographs predicted from the others")  # fmt: skip
     held.plot([0, 1], [0, 1], color=FAINT, lw=1, label="calibrated")
