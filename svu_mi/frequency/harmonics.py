@@ -48,11 +48,6 @@ def check_degree(degree: Any) -> int:
     return int(degree)
 
 
-def basis(direction: Any, degree: int) -> list[Any]:
-    """Evaluate Y_lm of a unit direction: (degree + 1)^2 arrays in the order l*l + l + m."""
-    return dr.sh_eval(direction, degree)
-
-
 def ridge(degree: int, penalize_constant: bool) -> list[float]:
     """Return the diagonal of R in Eq. 12, one entry per degree: e^l, with R_00 = 1 or 0."""
     return [math.exp(l) if l or penalize_constant else 0.0 for l in range(degree + 1)]
@@ -99,7 +94,7 @@ class FitSystem:
 
     def basis(self, direction: list[Any]) -> list[Any]:
         """Evaluate Y_lm of a unit direction in double precision."""
-        return basis(mi.Vector3d(*direction), self.degree)
+        return dr.sh_eval(mi.Vector3d(*direction), self.degree)  # type: ignore[no-any-return]
 
 
 def normalized_double(direction: Any) -> Any:

@@ -17,7 +17,6 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.local_memory import scatter_strided
-from svu_mi.frequency import harmonics
 from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.presets import AngularPreset, Fresnel
 from svu_mi.reflection.lobes import smith_g1, smith_g1_slope, view_albedo
@@ -161,7 +160,7 @@ def _evaluate(
     """Return the sum over (l, m) of Y_lm(direction) times coefficients, for each column."""
     number = (degree + 1) ** 2
     basis = dr.alloc_local(mi.Float, number)
-    for k, y in enumerate(harmonics.basis(mi.Vector3f(direction), degree)):
+    for k, y in enumerate(dr.sh_eval(mi.Vector3f(direction), degree)):
         basis[k] = y
     sums = [0 * direction[0] for _ in columns]
     index = mi.UInt32(0)

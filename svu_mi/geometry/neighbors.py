@@ -11,7 +11,6 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.capture.mesh import arrays
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import ShapeError
 from svu_mi.geometry.texels import Texels
@@ -83,7 +82,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     right, down = _grid_pairs(texels)
     if mesh is None:
         return Neighbors.of(np.concatenate([right, down]), texels.count)
-    surface = _TexelFrames.of(texels, mesh)
+    surface = _TexelFrames.of(texels)
     right = right[surface.near(right, surface.steps[0])]
     down = down[surface.near(down, surface.steps[1])]
     inside = np.concatenate([right, down])
@@ -132,23 +131,10 @@ class _TexelFrames:
     steps: tuple[np.ndarray, np.ndarray]
 
     @classmethod
-    def of(cls, texels: Texels, mesh: Any) -> _TexelFrames:
-        source = arrays(mesh)
-        assert source.uvs is not None
-        corner, uv = source.positions[source.faces], source.uvs[source.faces]
-        (a, b), (p, q) = (
-            (edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]) for edges in (uv, corner)
-        )
-        area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        area = np.where(area == 0, np.inf, area)[:, None]  # faces without UV area have no texels
-        along_u = (p * b[:, 1:] - q * a[:, 1:]) / (area * texels.resolution[0])
-        along_v = (q * a[:, :1] - p * b[:, :1]) / (area * texels.resolution[1])
-        face = texels.face.numpy()
-        return cls(
-            np.array(texels.position, np.float64).T,
-            np.array(texels.geometric_normal, np.float64).T,
-            (along_u[face], along_v[face]),
-        )
+    def of(cls, texels: Texels) -> _TexelFrames:
+        vectors = texels.position, texels.geometric_normal, *texels.sides
+        position, normal, *steps = (np.array(x, np.float64).T for x in vectors)
+        return cls(position, normal, (steps[0], steps[1]))
 
     def near(self, pairs: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Return (P,) bool: True for pairs within REACH steps and without opposite normals."""

@@ -21,7 +21,7 @@ from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, mirror_direction
 from svu_mi.geometry.visibility import Visibility
-from svu_mi.light.band_limited import MOMENTS, Lighting
+from svu_mi.light.band_limited import MOMENTS, Lighting, diffuse_moments
 from svu_mi.light.light_tree import LightTree
 
 
@@ -66,14 +66,10 @@ class LightVisibility:
         def add(cell: Any, *state: Any) -> tuple[Any, ...]:
             direction, flux = cells.at(cell)[0], cells.light(cell, channels)
             cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
-            free, grazing = self.fine.test(cell, lane), (1 - cosine) ** 5
-            added = []
+            free, added = self.fine.test(cell, lane), []
             for value in flux:
-                whole = value * cosine
-                received = dr.select(free, whole, 0)
-                for part in (received, received * grazing):
-                    added += [part, *(part * direction)]
-                added.append(whole)
+                received = dr.select(free, value, 0)
+                added += [*diffuse_moments(received, cosine, direction), value * cosine]
             return (cell + 1, *(old + new for old, new in zip(state, added, strict=True)))
 
         zero = dr.zeros(mi.Float, surface.count)

@@ -197,12 +197,8 @@ class LightStack:
 
 
 def stack_levels(light: FilteredLight) -> LightStack:
-    """Copy the maps of at least two levels into one table."""
-    return _stacked([np.array(texture.tensor()) for texture in light.textures], light.to_local)
-
-
-def _stacked(maps: Sequence[np.ndarray], to_local: Any) -> LightStack:
-    """Pack maps (H, W, C), C = 1 or 3."""
+    """Copy the maps of at least two levels, (H, W, C) with C = 1 or 3, into one table."""
+    maps = [np.array(texture.tensor()) for texture in light.textures]
     channels = maps[0].shape[2]
     tables, flat, first = [], [], 0
     for grid in maps:
@@ -218,5 +214,5 @@ def _stacked(maps: Sequence[np.ndarray], to_local: Any) -> LightStack:
         tables=to_drjit(mi.UInt32, np.array(tables, np.uint32)),
         count=len(maps),
         channels=channels,
-        to_local=to_local,
+        to_local=light.to_local,
     )

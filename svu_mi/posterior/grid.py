@@ -29,8 +29,35 @@ class Grid(Protocol):
         """Number of nodes per axis."""
 
 
+class _UnitGrid:
+    """Nodes of parameters on [0, 1]."""
+
+    known: Mapping[str, float]
+
+    @property
+    def axes(self) -> dict[str, np.ndarray]:
+        """Nodes of each parameter, in the order of ``parameters.AXES``."""
+        return {name: self._nodes(name) for name in AXES}
+
+    @property
+    def roughness_nodes(self) -> np.ndarray:
+        """(R,) float64 roughness nodes."""
+        return self._nodes("roughness")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of nodes per axis."""
+        return tuple(len(nodes) for nodes in self.axes.values())
+
+    def _nodes(self, name: str) -> np.ndarray:
+        """Return the nodes of a parameter: its known value, or uniform on [0, 1]."""
+        if name in self.known:
+            return np.array([self.known[name]], np.float64)
+        return np.linspace(0, 1, getattr(self, name))
+
+
 @dataclass(frozen=True)
-class ParameterGrid:
+class ParameterGrid(_UnitGrid):
     """Product grid of roughness and Ks (the paper's parameters).
 
     Attributes:
@@ -70,14 +97,9 @@ class ParameterGrid:
         return self if self.spacing else replace(self, spacing=preset.spacing)
 
     @property
-    def roughness_nodes(self) -> np.ndarray:
-        """(R,) float64 roughness nodes."""
-        return _nodes(self, "roughness")
-
-    @property
     def specular_nodes(self) -> np.ndarray:
         """(S,) float64 nodes of Ks."""
-        t = _nodes(self, "specular")
+        t = self._nodes("specular")
         uneven = self.spacing == "dielectric" and "specular" not in self.known
         return F0 + (1 - F0) * t**2 if uneven else t
 
@@ -86,14 +108,9 @@ class ParameterGrid:
         """Nodes of ``roughness`` and ``specular``."""
         return {"roughness": self.roughness_nodes, "specular": self.specular_nodes}
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of nodes per axis, (R, S)."""
-        return tuple(len(nodes) for nodes in self.axes.values())
-
 
 @dataclass(frozen=True)
-class PrincipledGrid:
+class PrincipledGrid(_UnitGrid):
     """Product grid of the parameters of Mitsuba's ``principled`` BSDF, uniform on [0, 1].
 
     Attributes:
@@ -122,36 +139,14 @@ class PrincipledGrid:
         _require_valid(self, AXES)
 
     @property
-    def roughness_nodes(self) -> np.ndarray:
-        """(R,) float64 roughness nodes."""
-        return _nodes(self, "roughness")
-
-    @property
     def mixed_nodes(self) -> list[np.ndarray]:
         """Float64 nodes of each mixing parameter (``parameters.MIXED``)."""
-        return [_nodes(self, name) for name in MIXED]
+        return [self._nodes(name) for name in MIXED]
 
     @property
     def base_color_nodes(self) -> np.ndarray:
         """(K,) float64 base colour nodes, linear."""
-        return _nodes(self, "base_color")
-
-    @property
-    def axes(self) -> dict[str, np.ndarray]:
-        """Nodes of each parameter, in the order of ``parameters.AXES``."""
-        return {name: _nodes(self, name) for name in AXES}
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of nodes per axis, (R, M, K)."""
-        return tuple(len(nodes) for nodes in self.axes.values())
-
-
-def _nodes(grid: ParameterGrid | PrincipledGrid, name: str) -> np.ndarray:
-    """Return the nodes of a parameter: its known value, or uniform on [0, 1]."""
-    if name in grid.known:
-        return np.array([grid.known[name]], np.float64)
-    return np.linspace(0, 1, getattr(grid, name))
+        return self._nodes("base_color")
 
 
 def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...]) -> None:

@@ -20,16 +20,6 @@ def sample_index(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
     return np.minimum(picked, weights.shape[-1] - 1)
 
 
-def normalize_energies(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return p = exp(-energy) / Z, (t, *grid, 1) float32, and best nodes, (t, axes, 1) int64."""
-    flat = energies.reshape(len(energies), -1)
-    best = flat.argmin(axis=1)
-    p = np.exp(-(flat - np.take_along_axis(flat, best[:, None], axis=1)))
-    p /= p.sum(axis=1, keepdims=True, dtype=np.float64)
-    node = np.stack(np.unravel_index(best, energies.shape[1:]), axis=-1)
-    return p.reshape(*energies.shape, 1).astype(np.float32), node[..., None]
-
-
 def row_colors(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return mean colours, (t, rows, C); the best bin's colour if the mean's bin is empty."""
     middle = (edges[1:] + edges[:-1]) / 2

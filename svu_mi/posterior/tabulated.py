@@ -10,8 +10,7 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import GridKernel, Pair, Prior
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.row_entropy import nats, prior_table
-from svu_mi.posterior.tables import normalize_energies
+from svu_mi.posterior.row_entropy import nats, prior_table, probabilities
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,12 @@ class TabulatedKernel(GridKernel):
 
     def tables(self, texels: np.ndarray) -> Pair:
         """Return bin probabilities and the most probable nodes (see ``GridKernel``)."""
-        return normalize_energies(self.energies[texels])
+        energies = self.energies[texels].reshape(len(texels), -1, self.grid.shape[-1])
+        low = energies.min(axis=2, keepdims=True)
+        # Rows of infinite energy have the weight 0, whatever the energies relative to it.
+        offsets = energies - np.where(np.isfinite(low), low, 0)
+        offsets = np.where(np.isfinite(low), offsets, 0)[:, :, None]
+        return probabilities(low[..., 0], offsets, self.grid.shape)
 
 
 def tabulated_posterior(

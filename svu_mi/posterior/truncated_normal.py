@@ -11,7 +11,7 @@ To avoid cancellation, densities are relative to the best colour in [0, 1], and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import Any
@@ -87,21 +87,20 @@ class ChannelLikelihood:
         """Integrate over bins of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
         # With x = (y - mu) s, exp(-(E - min_energy)) = exp(x_0^2 - x^2); x_0 is the best colour.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
-        ends = dr.if_stmt(
-            args=(self.mu, self.s), cond=self._is_hard,
-            true_fn=lambda mu, s: replace(self, mu=mu, s=s)._whole(mi.Float64),
-            false_fn=lambda mu, s: replace(self, mu=mu, s=s)._whole(mi.Float),
-        )  # fmt: skip
-        first, last, whole, mean, variance = ends
+        first, last, whole, mean, variance = self._as_precise(ChannelLikelihood._whole)
         inverse, beyond = dr.rcp(whole), [first, *inner, last]
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
         mass = 0.5 * sqrt(pi) * whole / self.s
         return self._integrals(mass, parts, mean, variance)
 
-    @property
-    def _is_hard(self) -> Any:
-        """Bool, True if moments need double precision."""
-        return (self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW)
+    def _as_precise(self, moments: Callable[..., tuple[Any, ...]], *args: Any) -> tuple[Any, ...]:
+        """Return ``moments(self, type, *args)``, in double precision only in lanes that need it."""
+
+        def of(kind: Any) -> Callable[..., tuple[Any, ...]]:
+            return lambda mu, s, *rest: moments(replace(self, mu=mu, s=s), kind, *rest)
+
+        hard = (self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW)
+        return dr.if_stmt((self.mu, self.s, *args), hard, of(mi.Float64), of(mi.Float))  # type: ignore[no-any-return]
 
     def _whole(self, kind: Any) -> tuple[Any, ...]:
         """Return the tails above y = 0 and y = 1, their difference, and mean and variance of y."""
@@ -140,20 +139,13 @@ class ChannelLikelihood:
         log_mass, masses = self.weighted_masses(edges, prior)
         inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
         around = [(tail.beyond, tail.density) for tail in inner]
-        mean, variance = dr.if_stmt(
-            args=(self.mu, self.s, around, list(self._turned(prior))), cond=self._is_hard,
-            true_fn=lambda mu, s, *rest: replace(self, mu=mu, s=s)._weighted(
-                mi.Float64, edges, *rest
-            ),
-            false_fn=lambda mu, s, *rest: replace(self, mu=mu, s=s)._weighted(
-                mi.Float, edges, *rest
-            ),
-        )  # fmt: skip
+        turned = list(self._turned(prior))
+        mean, variance = self._as_precise(ChannelLikelihood._weighted, around, turned, edges)
         moments = self._integrals(masses.mass, [], mean, variance)
         return log_mass, replace(moments, bins=masses.bins)
 
     def _weighted(
-        self, kind: Any, edges: list[float], inner: list[tuple[Any, Any]], prior: list[Any]
+        self, kind: Any, inner: list[tuple[Any, Any]], prior: list[Any], edges: list[float]
     ) -> tuple[Any, ...]:
         """Return mean and variance of y for a prior of the bins of y.
 
