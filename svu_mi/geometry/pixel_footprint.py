@@ -12,6 +12,8 @@ from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
 
 SPACING = 1.5  # pixels between look-ups; about the width of a bilinear filter
 MOST_TAPS = 8  # look-ups per side of a texel
+OF_PIXEL = 1 / 4  # variance of a pixel (1/12) and of bilinear weights (1/6), in pixels
+STEEPEST = 0.08  # maximum deviation of the normal [rad]
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
@@ -164,6 +166,28 @@ def mean_over_texel(
     mean = inverse * total
     variance = dr.maximum(inverse * squares - dr.square(as_channels(mean, 1)[0]), 0)
     return mean, variance, *(inverse * part for part in parts)
+
+
+def normal_deviations(
+    camera: Camera, position: Any, sides: tuple[Any, Any] | None, turns: tuple[Any, Any] | None
+) -> tuple[Any, Any]:
+    """Return vectors a and b: the normal has the covariance a a^T + b b^T in the pixels of a texel.
+
+    With sides S = (s_u s_v) of the texel in pixels and turns N = (n_u n_v) of the normal along
+    them, it is N M N^T, with M = S^-1 S^-T / 4 + (1 - 1 / steps^2) / 12.
+    """
+    if sides is None or turns is None:
+        return dr.zeros(mi.Vector3f), dr.zeros(mi.Vector3f)
+    _, _, (u, v), steps = _cover(camera, position, sides)
+    inverse = OF_PIXEL / dr.maximum(dr.square(u[0] * v[1] - u[1] * v[0]), 1e-12)
+    uu, uv, vv = (inverse * (p[0] * q[0] + p[1] * q[1]) for p, q in ((u, u), (u, v), (v, v)))
+    of_u, of_v = ((1 - dr.rcp(step * step)) / 12 for step in steps)
+    first = dr.sqrt(vv + of_u)
+    both = -uv * dr.rcp(first)
+    second = dr.sqrt(dr.maximum(uu + of_v - both * both, 0))
+    a, b = first * turns[0] + both * turns[1], second * turns[1]
+    limit = dr.minimum(STEEPEST * dr.rsqrt(dr.squared_norm(a) + dr.squared_norm(b) + 1e-12), 1)
+    return limit * a, limit * b
 
 
 def _cover(

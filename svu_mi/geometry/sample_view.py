@@ -7,7 +7,7 @@ stay in registers: no array has an entry per texel and view.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -18,6 +18,7 @@ from svu_mi.geometry.pixel_footprint import (
     black,
     interpolate,
     mean_over_texel,
+    normal_deviations,
     read_camera,
     taps_at,
 )
@@ -36,6 +37,7 @@ class TexelLanes:
         offset: Opaque Float, distance of ray origins from the surface.
         texel: UInt32, index among all texels; None if lanes are all texels in order.
         sides: Sides of the texel, two Vector3f in world space; None for points.
+        turns: Changes of the normal along the sides, two Vector3f; None for points.
     """
 
     position: Any
@@ -44,6 +46,7 @@ class TexelLanes:
     offset: Any
     texel: Any | None = None
     sides: tuple[Any, Any] | None = None
+    turns: tuple[Any, Any] | None = None
 
     @staticmethod
     def of(texels: Texels, selection: Any | None = None) -> TexelLanes:
@@ -59,23 +62,16 @@ class TexelLanes:
             # Far from the origin, an offset below the rounding step would have no effect.
             offset=dr.opaque(mi.Float, max(RAY_OFFSET * texels.extent, 2 * texels.step)),
             texel=selection,
-            sides=(take(texels.sides[0]), take(texels.sides[1])),
+            sides=take(texels.sides),
+            turns=take(texels.turns),
         )
 
     def at(self, lane: Any) -> TexelLanes:
         """Gather lanes by their indices (UInt32), which may repeat."""
-
-        def take(values: Any) -> Any:
-            return dr.gather(type(values), values, lane)
-
-        return TexelLanes(
-            take(self.position),
-            take(self.normal),
-            take(self.geometric_normal),
-            self.offset,
-            texel=dr.gather(mi.UInt32, self.index, lane),
-            sides=None if self.sides is None else (take(self.sides[0]), take(self.sides[1])),
-        )
+        names = ("position", "normal", "geometric_normal", "sides", "turns")
+        values = {name: x for name in names if (x := getattr(self, name)) is not None}
+        taken = dr.gather(dict, values, lane)
+        return replace(self, texel=dr.gather(mi.UInt32, self.index, lane), **taken)
 
     @property
     def index(self) -> Any:
@@ -105,6 +101,7 @@ class ViewSample:
         clipped: From ``sample_view``: Bool, True if a texel is visible only through saturated
             pixels. From ``sample_visible``: Color3f, saturated fraction per channel. None without
             saturated pixels or if not requested.
+        bend: From ``sample_visible``: standard deviations of the normal (``normal_deviations``).
     """
 
     direction: Any
@@ -113,6 +110,7 @@ class ViewSample:
     seen: Any
     contrast: Any
     clipped: Any | None = None
+    bend: tuple[Any, Any] | None = None
 
 
 def sample_view(views: Views, surface: TexelLanes, view: Any, *, dense: bool = False) -> ViewSample:
@@ -187,21 +185,24 @@ def sample_visible(
 ) -> ViewSample:  # fmt: skip
     """Sample one view at the ``seen`` texels; ``clipped=True`` includes saturated pixels."""
 
-    def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
+    def read(position: Any, normal: Any, sides: Any, turns: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)
         direction = mi.Vector3f(dr.normalize(camera.position - position))
         cosine = dr.select(seen, dr.dot(normal, direction), 0)
         mean = mean_over_texel(views, camera, position, sides, seen, clipped=clipped)
-        return direction, cosine, *mean
+        return direction, cosine, normal_deviations(camera, position, sides, turns), *mean
 
-    none = [black()] if clipped else []
-    direction, cosine, radiance, contrast, *parts = dr.if_stmt(
-        args=(surface.position, mi.Vector3f(surface.normal), surface.sides),
+    none, flat = [black()] if clipped else [], dr.zeros(mi.Vector3f)
+    direction, cosine, bend, radiance, contrast, *parts = dr.if_stmt(
+        args=(surface.position, mi.Vector3f(surface.normal), surface.sides, surface.turns),
         cond=needs_work(seen, dense),
         true_fn=read,
-        false_fn=lambda _, normal, *__: (normal, mi.Float(0), black(), mi.Float(0), *none),
-    )
-    return ViewSample(direction, cosine, radiance, seen, contrast, *parts)
+        false_fn=lambda _, normal, *__: (
+            normal, mi.Float(0), (flat, flat), black(), mi.Float(0), *none
+        ),
+    )  # fmt: skip
+    shares = parts[0] if parts else None
+    return ViewSample(direction, cosine, radiance, seen, contrast, shares, bend)
 
 
 def over_views(

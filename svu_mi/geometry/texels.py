@@ -42,6 +42,7 @@ class Texels:
         uv: (T,) Point2f, centre of the texel.
         footprint: (T,) Float, square root of the texel's area on the surface, in world units.
         sides: Two (T,) Vector3f, sides of the texel along u and v in world space.
+        turns: Two (T,) Vector3f, changes of the mesh's unit normal along both sides.
         overlapping: Number of omitted texels that several faces cover.
         degenerate: Number of omitted texels whose face has no area.
         extent: Diagonal of the mesh's bounding box, in world units.
@@ -66,6 +67,7 @@ class Texels:
     uv: Any
     footprint: Any
     sides: tuple[Any, Any]
+    turns: tuple[Any, Any]
     overlapping: int
     degenerate: int
     extent: float
@@ -107,13 +109,13 @@ class Texels:
     def subset(self, numbers: np.ndarray) -> Texels:
         """Return the texels of given numbers in [0, T), which may repeat."""
         chosen = to_drjit(mi.UInt32, numbers.astype(np.uint32))
-
-        def take(values: Any) -> Any:
-            return dr.gather(type(values), values, chosen)
-
-        names = ("index", "face", "position", "normal", "geometric_normal", "uv", "footprint")
-        taken: dict[str, Any] = {name: take(getattr(self, name)) for name in names}
-        taken["sides"] = take(self.sides[0]), take(self.sides[1])
+        values: dict[str, Any] = {
+            name: getattr(self, name) for name in (
+                "index", "face", "position", "normal", "geometric_normal", "uv", "footprint",
+                "sides", "turns",
+            )
+        }  # fmt: skip
+        taken = dr.gather(dict, values, chosen)
         dr.eval(taken)
         return replace(self, **taken)
 
@@ -287,7 +289,10 @@ def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return code
 
 
-POINTS = dict(position=3, normal=3, geometric_normal=3, uv=2, footprint=1, along_u=3, along_v=3)
+POINTS = dict(
+    position=3, normal=3, geometric_normal=3, uv=2, footprint=1, along_u=3, along_v=3, turn_u=3,
+    turn_v=3,
+)  # fmt: skip
 """Number of components of each interpolated attribute of ``Texels``."""
 
 
@@ -312,6 +317,7 @@ def _surface_points(
         uv=to_drjit(mi.Point2f, points["uv"]),
         footprint=to_drjit(mi.Float, points["footprint"][0]),
         sides=(to_drjit(mi.Vector3f, points["along_u"]), to_drjit(mi.Vector3f, points["along_v"])),
+        turns=(to_drjit(mi.Vector3f, points["turn_u"]), to_drjit(mi.Vector3f, points["turn_v"])),
         overlapping=overlapping,
         degenerate=degenerate,
         extent=_extent(source),
@@ -330,8 +336,10 @@ def _interpolated(
     corner_uv, corner = source.uvs[source.faces[face]], source.positions[source.faces[face]]
     weights = barycentric(corner_uv, uv)
     normal = geometric = normals[face]
+    of_corners = np.repeat(normal[:, None], 3, axis=1)
     if source.normals is not None:
-        smooth = np.einsum("tk,tki->ti", weights, source.normals[source.faces[face]])
+        of_corners = source.normals[source.faces[face]]
+        smooth = np.einsum("tk,tki->ti", weights, of_corners)
         length = np.linalg.norm(smooth, axis=1, keepdims=True)
         # Opposite vertex normals cancel; use the face normal instead.
         normal = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), geometric)
@@ -341,7 +349,10 @@ def _interpolated(
     determinant = a * d - b * c
     # Position is linear in uv within a face: edges = sides of the unit square times uv edges.
     inverse = np.array([[d, -b], [-c, a]]) / determinant
-    along = np.einsum("ijt,tjk->tik", inverse, corner[:, 1:] - corner[:, :1])  # u or v, xyz
+    along, turn = (  # u or v, xyz
+        np.einsum("ijt,tjk->tik", inverse, x[:, 1:] - x[:, :1]) for x in (corner, of_corners)
+    )
+    turn -= np.einsum("tik,tk,tj->tij", turn, normal, normal)
     yield "position", np.einsum("tk,tki->ti", weights, corner)
     yield "normal", normal
     yield "geometric_normal", geometric * np.where(side == 0, 1, side)[:, None]
@@ -350,6 +361,8 @@ def _interpolated(
     yield "footprint", np.sqrt(areas[face] / (uv_area * width * height))[:, None]
     yield "along_u", along[:, 0] / width
     yield "along_v", along[:, 1] / height
+    yield "turn_u", turn[:, 0] / width
+    yield "turn_v", turn[:, 1] / height
 
 
 def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:

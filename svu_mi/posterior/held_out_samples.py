@@ -121,7 +121,8 @@ def collect_samples(
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(total: Any) -> Any:
-            lobes = model.columns(sample.direction, dr.maximum(sample.cosine, GRAZING), free, slot)
+            cosine = dr.maximum(sample.cosine, GRAZING)
+            lobes = model.columns(sample.direction, cosine, free, slot, sample.bend)
             of_sample = values(sample, lobes, dr.gather(mi.UInt32, order, slot))
             for row, value in enumerate([mi.Float(1), *of_sample]):
                 place = row * stride + slot * lanes + surface.lane

@@ -11,7 +11,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import diffuse_moments
 from svu_mi.light.flash_light import FlashCell, FlashLight
 from svu_mi.reflection.lamp_lobes import reflected
-from svu_mi.reflection.lobes import widened_ggx
+from svu_mi.reflection.lobes import Normals, widened_ggx
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
 
@@ -42,10 +42,8 @@ class FlashLobes:
         return [value * both for value in cell.light(0, self.channels)]
 
     def reflect(
-        self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any
+        self, normals: Normals, cell: FlashCell, direction: Any, cosine: Any
     ) -> list[Lobe]:  # fmt: skip
         """Return the light that each lobe reflects towards the camera."""
-        sums = LobeSums(
-            self.alpha, self.channels, mi.Vector3f(surface.normal), direction, widened_ggx
-        )
+        sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
         return reflected(sums, cell, dr.opaque(mi.UInt32, 1), cosine)

@@ -10,9 +10,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.lamps import Lamps
-from svu_mi.reflection.lobes import widened_ggx
+from svu_mi.reflection.lobes import Normals, widened_ggx
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
 
@@ -31,12 +30,10 @@ class LampLobes:
             return self.lamps.moments
         return [[sum(x) / 3 for x in zip(*self.lamps.moments, strict=True)]]
 
-    def reflect(self, surface: TexelLanes, direction: Any, cosine: Any) -> list[Lobe]:
+    def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light of lamps that each lobe reflects towards a camera."""
-        sums = LobeSums(
-            self.alpha, self.channels, mi.Vector3f(surface.normal), direction, widened_ggx
-        )
-        return reflected(sums, self.lamps.seen_from(surface.lane), self.lamps.number, cosine)
+        sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
+        return reflected(sums, self.lamps.seen_from(lane), self.lamps.number, cosine)
 
 
 def reflected(sums: LobeSums, cells: Any, number: Any, cosine: Any) -> list[Lobe]:

@@ -4,12 +4,15 @@ A lobe of width alpha is approximated by a rotationally symmetric one, so that l
 prefiltered (light/prefiltered.py). Its direction and albedo depend on the viewing angle.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from functools import lru_cache, partial
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.polynomial import legendre
 
@@ -23,6 +26,27 @@ ANGLES = 4097  # number of tabulated angles of Gaussian lobes
 SERIES = 6.0  # series of Gaussian lobes end at degree SERIES / alpha, where terms are exp(-36)
 LEAST = 0.3  # minimum of a lobe averaged over a disk, relative to its centre
 _U, _V = 64, 16  # number of stratified samples of visible normals per table entry
+
+
+class Normals(NamedTuple):
+    """Normals of each texel within its pixels.
+
+    Attributes:
+        mean: Vector3f, the texel's normal.
+        around: three Vector3f with the covariance of the normals; empty if they are equal.
+    """
+
+    mean: Any
+    around: list[Any]
+
+    @staticmethod
+    def of(normal: Any, bend: tuple[Any, Any] | None = None) -> Normals:
+        """Return normals of covariance a a^T + b b^T, with ``bend`` = (a, b); None: equal ones."""
+        mean = mi.Vector3f(normal)
+        if bend is None:
+            return Normals(mean, [])
+        a, b = (scale * x for scale, x in zip((2**0.5, 1.5**0.5), bend, strict=True))
+        return Normals(mean, [dr.normalize(mean + way) for way in (a, b - a / 2, -b - a / 2)])
 
 
 def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:

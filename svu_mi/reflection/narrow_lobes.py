@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.geometry.sample_view import mirror_direction
@@ -20,7 +19,7 @@ from svu_mi.light.light_tree import LightCells, disk_cells
 from svu_mi.light.prefiltered import FilteredLight, filter_light
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.albedo_table import AlbedoTable
-from svu_mi.reflection.lobes import dominance, lobe_profile
+from svu_mi.reflection.lobes import Normals, dominance, lobe_profile
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums, added_lobes
 
 
@@ -54,29 +53,32 @@ class NarrowLobes:
             sun=None if disk else disk_cells(lighting.environment),
         )
 
-    def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
+    def reflect(self, normals: Normals, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
         """Return light reflected by each width's lobe; 0 where the mirror ray is not ``free``."""
-        mirror = mirror_direction(normal, direction)
+        several = normals.around or [normals.mean]
+        mirrors = [mirror_direction(normal, direction) for normal in several]
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):
-            center = mirror
+            centers = mirrors
             if self.switches.off_specular:
-                center = dr.normalize(dr.lerp(mi.Vector3f(normal), mirror, dominance(alpha)))
+                pairs, part = zip(several, mirrors, strict=True), dominance(alpha)
+                centers = [dr.normalize(dr.lerp(*pair, part)) for pair in pairs]
             A, B, D = self.albedo.at(level, alpha, cosine)
-            light = self.levels.radiance(level, center)
+            of_normals = [self.levels.radiance(level, center) for center in centers]
+            light = [sum(values) / len(centers) for values in zip(*of_normals, strict=True)]
             light = [dr.select(free, value, 0) for value in light]
             result.append([(A * value, B * value, D * value) for value in light])
         if self.sun is None:
             return result
-        return self._with_sun(result, normal, direction, cosine, free)
+        return self._with_sun(result, normals, direction, cosine, free)
 
     def _with_sun(
-        self, lobes: list[Lobe], normal: Any, direction: Any, cosine: Any, free: Any
+        self, lobes: list[Lobe], normals: Normals, direction: Any, cosine: Any, free: Any
     ) -> list[Lobe]:
         """Add the sun's disk, with the visibility ``free`` of the mirror direction."""
         sun = self.sun
         assert sun is not None
-        sums = LobeSums(self.alpha, len(lobes[0]), normal, direction)
+        sums = LobeSums(self.alpha, len(lobes[0]), normals, direction)
 
         def add(cell: Any, memory: Any) -> tuple[Any, Any]:
             return (cell + 1, *sums.add(sun, cell, sums.angles(sun, cell), free, memory))

@@ -23,6 +23,7 @@ from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.flash_lobes import FlashLobes
 from svu_mi.reflection.lamp_lobes import LampLobes
+from svu_mi.reflection.lobes import Normals
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.near_lobes import NearLobes
@@ -133,30 +134,34 @@ class ReflectionModel:
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
     def columns(
-        self, direction: Any, cosine: Any, free: Any, slot: Any | None = None
+        self, direction: Any, cosine: Any, free: Any, slot: Any | None = None,
+        bend: tuple[Any, Any] | None = None,
     ) -> list[list[Parts]]:  # fmt: skip
         """Return (e, p, q, d) by level and channel.
 
-        ``free`` marks unoccluded mirror rays. ``slot`` is the view, which a flash needs.
+        ``free`` marks unoccluded mirror rays. ``slot`` is the view, which a flash needs. ``bend``
+        are deviations of the normal (``normal_deviations``), which count only if light is traced.
         """
-        normal, lobes, shown = mi.Vector3f(self.surface.normal), [], self.moments
+        normals = Normals.of(self.surface.normal, bend if self.switches.traced else None)
+        lobes, shown = [], self.moments
         if self.fitted is not None:
             lobes += self.fitted.reflect(direction, cosine)
         if self.narrow is not None:
-            lobes += self.narrow.reflect(normal, direction, cosine, free)
+            lobes += self.narrow.reflect(normals, direction, cosine, free)
         if self.wide is not None:
-            lobes += self.wide.reflect(self.surface.lane, normal, direction, cosine)
+            lobes += self.wide.reflect(self.surface.lane, normals, direction, cosine)
         if self.near is not None:
             hidden = free if self.reads_mirrors else None
             lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine, hidden))
         if self.lamps is not None:
-            lobes = added_lobes(lobes, self.lamps.reflect(self.surface, direction, cosine))
+            lit = self.lamps.reflect(self.surface.lane, normals, direction, cosine)
+            lobes = added_lobes(lobes, lit)
         retro = [mi.Float(0)] * self.channels
         if self.flash is not None:
             if slot is None:
                 raise OptionError("Views that are not photographs have no flash; use other light.")
             cell = self.flash.light.seen_from(self.surface, slot)
-            lobes = added_lobes(lobes, self.flash.reflect(self.surface, cell, direction, cosine))
+            lobes = added_lobes(lobes, self.flash.reflect(normals, cell, direction, cosine))
             shown = _added(shown, self.flash.moments(self.surface, cell))
             if self.switches.diffuse == "disney":
                 retro = self.flash.retroreflection(self.surface, cell, direction, cosine)

@@ -3,6 +3,8 @@
 Within a cell of radius rho, the half vector rotates by up to rho / (2 cos theta_d), where theta_d
 is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2
 theta_h. Cells with large rho^2 / (s cos^2 theta_d), near the mirror direction, are subdivided.
+
+Where normals vary within a texel, lobes narrower than ``BENT`` are averaged over three normals.
 """
 
 from collections.abc import Callable
@@ -17,9 +19,10 @@ import numpy as np
 from svu_mi.geometry.sample_view import fold
 from svu_mi.light.light_tree import LightCells
 from svu_mi.light.light_visibility import LightVisibility
-from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
+from svu_mi.reflection.lobes import Normals, blurred_ggx, dielectric_fresnel, smith_g1
 
 NARROW = 0.03  # maximum alpha of narrow lobes; about the distance of leaf cells
+BENT = 0.1  # maximum alpha of lobes that are averaged over normals
 LARGE = 1.6  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
 
 Lobe = list[tuple[Any, Any, Any]]
@@ -35,13 +38,17 @@ def added_lobes(first: list[Lobe], second: list[Lobe]) -> list[Lobe]:
 
 
 class _CellAngles(NamedTuple):
-    """Radius of a cell, its square, and cosines (normal, light), (normal, half), (light, half)."""
+    """Radius of a cell, its square, and cosines (normal, light), (normal, half), (light, half).
+
+    ``half`` is the half vector.
+    """
 
     radius: Any
     square: Any
     incident: Any
     up: Any
     across: Any
+    half: Any
 
 
 class Cells(Protocol):
@@ -60,11 +67,11 @@ class LobeSums:
     # Not a dataclass, because Dr.Jit would treat the fields as loop state.
 
     def __init__(
-        self, alpha: np.ndarray, channels: int, normal: Any, direction: Any,
+        self, alpha: np.ndarray, channels: int, normals: Normals, direction: Any,
         profile: Callable[..., list[Any]] = blurred_ggx,
     ) -> None:  # fmt: skip
         self.alpha, self.channels = alpha.tolist(), channels
-        self.normal, self.direction, self.profile = normal, direction, profile
+        self.normals, self.direction, self.profile = normals, direction, profile
 
     def integrate(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
         """Sum lobes over all cells; ``add(cell, sums)`` returns the next cell and new sums."""
@@ -85,13 +92,13 @@ class LobeSums:
         toward, radius = cells.at(cell)
         half = dr.normalize(toward + self.direction)
         return _CellAngles(
-            radius, dr.square(radius), incident=dr.dot(self.normal, toward),
-            up=dr.dot(self.normal, half), across=dr.dot(toward, half),
+            radius, dr.square(radius), incident=dr.dot(self.normals.mean, toward),
+            up=dr.dot(self.normals.mean, half), across=dr.dot(toward, half), half=half,
         )  # fmt: skip
 
     def add(self, cells: Cells, cell: Any, angles: _CellAngles, free: Any, sums: Any) -> tuple[Any]:
         """Add one cell to the lobe of each width, only in lanes where it is visible (``free``)."""
-        _, square, incident, up, across = angles
+        _, square, _, _, across, _ = angles
 
         def reflected(sums: Any) -> tuple[Any]:
             schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
@@ -102,13 +109,26 @@ class LobeSums:
             ]
             # Perpendicular to the plane of incidence, the rotation is 1 / cos theta_d as large.
             spread = 0.5 * square * (1 + dr.rcp(across * across))
-            lobes = self.profile(up, incident, self.alpha, spread)
+            lobes = self._averaged(angles, spread)
             for k, (lobe, part) in enumerate(product(lobes, parts)):
                 sums[k] = dr.fma(part, lobe, sums[k])
             return (sums,)
 
-        lit = mi.Bool(free & (incident > 0))
+        lit = mi.Bool(free & (angles.incident > 0))
         return dr.if_stmt(args=(sums,), cond=lit, true_fn=reflected, false_fn=lambda s: (s,))
+
+    def _averaged(self, angles: _CellAngles, spread: Any) -> list[Any]:
+        """Return the profile of each width for a disk of light, averaged over normals."""
+        around = self.normals.around
+        split = int(np.searchsorted(self.alpha, BENT)) if around else 0
+        several = [
+            self.profile(dr.dot(normal, angles.half), angles.incident, self.alpha[:split], spread)
+            for normal in around if split
+        ]  # fmt: skip
+        means = [sum(values) / len(around) for values in zip(*several, strict=True)]
+        if split == len(self.alpha):
+            return means
+        return means + self.profile(angles.up, angles.incident, self.alpha[split:], spread)
 
 
 @dataclass(frozen=True)
@@ -119,9 +139,9 @@ class WideLobes:
     alpha: np.ndarray
     channels: int
 
-    def reflect(self, lane: Any, normal: Any, direction: Any, cosine: Any) -> list[Lobe]:
+    def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the visible light reflected towards a camera by the lobe of each width."""
-        sums = LobeSums(self.alpha, self.channels, normal, direction)
+        sums = LobeSums(self.alpha, self.channels, normals, direction)
         traversal = _Traversal(self.visibility, lane, sums)
         return sums.integrate(self.visibility.tree.coarse.count, traversal.coarse, cosine)
 

@@ -76,7 +76,8 @@ def gather_statistics(
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(weight: Any, number: Any, *state: Any) -> tuple[Any, ...]:
-            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free, slot)
+            cosine = dr.maximum(seen.cosine, GRAZING)
+            lobes = model.columns(seen.direction, cosine, free, slot, seen.bend)
             radiance, w = as_channels(seen.radiance, channels), dr.select(seen.seen, mi.Float(1), 0)
             if kappa < inf:
                 w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)

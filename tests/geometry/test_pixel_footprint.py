@@ -9,6 +9,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from support.helpers import ball_scene, memory_capture
 
+from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.pixel_footprint import SPACING
@@ -102,6 +103,43 @@ def test_a_small_texel_is_one_look_up(tmp_path, noise):
     x, y = corners(layout, sensor, 0.0, 0.0)[small].T
     exact = [map_coordinates(noise[..., c], [y, x], order=1) for c in range(3)]
     assert np.abs(np.array(sample.radiance)[:, small] - exact).max() < 5e-3
+
+
+@pytest.mark.parametrize("resolution", [48, 256])
+def test_normals_deviate_as_on_the_pixels_of_a_texel(tmp_path, resolution):
+    """On a sphere, at random points of the pixels that bilinear look-ups of a texel read."""
+    sample, layout, sensor, seen = seen_by(tmp_path, np.ones((FILM, FILM, 3)), resolution)
+    facing = np.flatnonzero(seen & (np.array(sample.cosine) > 0.4))[::29]
+    a, b = (np.array(x)[:, facing].T for x in sample.bend)
+    middle = corners(layout, sensor, 0.0, 0.0)[facing]
+    sides = [corners(layout, sensor, *p)[facing] - middle for p in ((1.0, 0.0), (0.0, 1.0))]
+    random = np.random.default_rng(1)
+    film = np.repeat(middle[None], 4000, axis=0)
+    for side in sides:
+        steps = np.clip(np.ceil(np.linalg.norm(side, axis=1) / SPACING), 1, 8)
+        step = np.floor(random.random((4000, len(facing))) * steps)
+        film += ((step + 0.5) / steps - 0.5)[..., None] * side
+    film += (random.random((3, *film.shape)) - 0.5).sum(axis=0)  # a pixel, and bilinear weights
+    point = mi.Point2f(np.ascontiguousarray((film.reshape(-1, 2).T + 0.5) / FILM, np.float32))
+    ray, _ = sensor.sample_ray(0.0, 0.0, point, mi.Point2f(0.5))
+    along = -dr.dot(ray.d, mi.Vector3f(ray.o))
+    short = dr.sqrt(dr.square(along) - dr.squared_norm(mi.Vector3f(ray.o)) + 1)
+    normal = (ray.o + (along - short) * ray.d).numpy().T.reshape(4000, -1, 3)
+    found = np.einsum("ti,tj->tij", a, a) + np.einsum("ti,tj->tij", b, b)
+    off = normal - normal.mean(axis=0)
+    exact = np.einsum("nti,ntj->tij", off, off) / len(off)
+    assert len(facing) > 5 and np.trace(found, axis1=1, axis2=2).max() < 0.06**2
+    error = np.linalg.norm(found - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
+    assert np.median(error) < 0.1 and np.quantile(error, 0.95) < 0.25
+
+
+def test_flat_faces_do_not_bend(tmp_path):
+    """Texels of a mesh without vertex normals, and points."""
+    flat = texels(make_mesh("quad", MeshArrays(
+        np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]),
+        None, np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]),
+    )), 4)  # fmt: skip
+    assert all(np.abs(np.array(turn)).max() < 1e-6 for turn in flat.turns)
 
 
 @pytest.mark.parametrize("resolution", [16, 256])

@@ -25,6 +25,7 @@ from svu_mi.light.flash_light import FlashCell, FlashLight
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection.flash_lobes import FlashLobes
+from svu_mi.reflection.lobes import Normals
 
 FLASH = Flash((-0.6, 0.2, 0.1), (60.0, 40.0, 50.0))
 COLOR = np.array([0.5, 0.3, 0.2])
@@ -91,7 +92,8 @@ def test_lobes_are_ggx_towards_the_flash(alpha):
     cell = FlashCell(mi.Vector3f(*map(float, w)), [mi.Float(x) for x in (1.0, 2.0, 3.0)])
     surface, direction = texel_facing(n), mi.Vector3f(*map(float, v))
     lobes = FlashLobes(FlashLight(None, None), 3, np.array([alpha, 1.0]))
-    found = lobes.reflect(surface, cell, direction, dr.dot(surface.normal, direction))
+    normals = Normals.of(surface.normal)
+    found = lobes.reflect(normals, cell, direction, dr.dot(surface.normal, direction))
     for k, (p, q, _) in enumerate(found[0]):
         assert (p + q).numpy() == pytest.approx((k + 1) * d * g_v * g_w / (4 * v[2]), rel=1e-3)
     for k, (c0, *m0, c1) in enumerate(x[:5] for x in lobes.moments(surface, cell)):

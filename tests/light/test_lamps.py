@@ -17,6 +17,7 @@ from svu_mi.errors import SceneError
 from svu_mi.light.lamps import trace_lamps
 from svu_mi.presets import preset
 from svu_mi.reflection.lamp_lobes import LampLobes
+from svu_mi.reflection.lobes import Normals
 
 POINT = {"type": "point", "position": [0, 0.6, 0.8],
          "intensity": {"type": "rgb", "value": [1, 2, 4]}}  # fmt: skip
@@ -112,7 +113,8 @@ def test_lobes_are_integrals_over_the_lamp(alpha, radius, bar):
     lobes = LampLobes(lamps, 3, np.array([alpha, 0.9]))
     surface = texel_facing(normal)
     direction = mi.Vector3f(*map(float, view))
-    found = lobes.reflect(surface, direction, dr.dot(surface.normal, direction))
+    normals, cosine = Normals.of(surface.normal), dr.dot(surface.normal, direction)
+    found = lobes.reflect(surface.lane, normals, direction, cosine)
     for ((p, q, _),) in zip(*[iter(found[0])], strict=True):
         assert (p + q).numpy() == pytest.approx(reflected(alpha, radius, view, normal), rel=bar)
 

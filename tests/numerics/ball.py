@@ -149,7 +149,8 @@ def exact(estimate: Estimate, chosen: np.ndarray) -> list[Exact]:
         free = mi.Bool(True)
         if switches.traced and switches.occluded:
             free = _mirror(observed.views, model.surface, seen)[1]
-        columns = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
+        cosine = dr.maximum(seen.cosine, 1e-3)
+        columns = model.columns(seen.direction, cosine, free, bend=seen.bend)
         radiance = as_channels(seen.radiance, model.channels)
         dr.eval(seen, radiance, columns)
         parts = np.stack([_table(level, len(chosen)) for level in columns])  # (R, C, 4, t)

@@ -112,7 +112,14 @@ def blurred(cosine, alpha, square, least: float = 0.3):
     return ggx(cosine, alpha) * np.maximum(1 + change, least)
 
 
-def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
+def normals_around(n, a, b) -> np.ndarray:
+    """(3, 3) unit normals: n, moved to the corners of a triangle of covariance a a^T + b b^T."""
+    turn = 2 * np.pi * np.arange(3)[:, None] / 3
+    moved = n + np.sqrt(2) * (np.cos(turn) * a + np.sin(turn) * b)
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+def reflected(toward, flux, radius, o, n, alpha: float, bend=None) -> np.ndarray:
     """(3, C) p, q and d of light from small disks: D G1(i) G1(o) F / (4 cos_o), summed.
 
     A metal of base colour c reflects c p + q, Schlick's Fresnel term; a dielectric d.
@@ -124,7 +131,9 @@ def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
         o: unit direction to the camera.
         n: unit normal.
         alpha: width of the lobe.
+        bend: (2, 3) a and b. D of lobes narrower than .1 is averaged over ``normals_around``.
     """
+    bend = np.zeros((2, 3)) if bend is None else bend
     above = toward @ n > 0
     toward, flux = toward[above], flux[above]
     half = toward + o
@@ -132,7 +141,9 @@ def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
     along = np.clip(half @ o, 0, 1)
     # In the plane of incidence the half vector turns by half the angle, across it by more.
     square = radius[above] ** 2 * (1 + 1 / along**2) / 2
-    lobe = blurred(half @ n, alpha, square) * g1(toward @ n, alpha) * g1(o @ n, alpha) / (4 * o @ n)
+    normals = normals_around(n, *bend) if alpha < 0.1 else n[None]
+    lobe = np.mean([blurred(half @ each, alpha, square) for each in normals], axis=0)
+    lobe = lobe * g1(toward @ n, alpha) * g1(o @ n, alpha) / (4 * o @ n)
     schlick = (1 - along) ** 5
     return np.stack([(lobe * part) @ flux for part in (1 - schlick, schlick, fresnel(along))])
 

@@ -17,6 +17,7 @@ from svu_mi.light.environment import Environment, read_environment
 from svu_mi.light.light_tree import LightCells, build_light_tree
 from svu_mi.light.light_visibility import LightVisibility, trace_light_visibility
 from svu_mi.reflection import wide_lobes
+from svu_mi.reflection.lobes import Normals
 from svu_mi.reflection.wide_lobes import WideLobes
 
 ALPHA = np.array([0.04, 0.15, 0.5, 1.0])
@@ -63,12 +64,14 @@ def found_by(
     view: np.ndarray,
     channels: int = 3,
     alpha: np.ndarray = ALPHA,
+    bend: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return p, q and d, (K, 3, C, T)."""
+    """Return p, q and d, (K, 3, C, T); ``bend`` (2, 3) are deviations of all normals."""
     normal = surface.normal.numpy().T
     cosine = (view * normal / np.linalg.norm(normal, axis=1, keepdims=True)).sum(axis=1)
+    turned = None if bend is None else tuple(mi.Vector3f(*map(float, x)) for x in bend)
     lobes = WideLobes(visibility, alpha, channels).reflect(
-        surface.lane, mi.Vector3f(surface.normal), to_drjit(mi.Vector3f, view.T),
+        surface.lane, Normals.of(surface.normal, turned), to_drjit(mi.Vector3f, view.T),
         to_drjit(mi.Float, cosine),
     )  # fmt: skip
     values = np.array([[[x.numpy() for x in color] for color in lobe] for lobe in lobes])
@@ -82,8 +85,9 @@ def table(cells: LightCells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def direct(
-    cells: LightCells, seen: np.ndarray, normal: np.ndarray, view: np.ndarray, disks: bool = True
-) -> np.ndarray:
+    cells: LightCells, seen: np.ndarray, normal: np.ndarray, view: np.ndarray, disks: bool = True,
+    bend: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Return the sum over the visible cells of each texel, (K, 3, C, T), float64."""
     toward, flux, radius = table(cells)
     toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
@@ -91,7 +95,8 @@ def direct(
     return np.array([
         np.moveaxis([
             oracle.reflected(
-                toward[seen[:, t]], flux[seen[:, t]], radius[seen[:, t]], view[t], normal[t], a
+                toward[seen[:, t]], flux[seen[:, t]], radius[seen[:, t]], view[t], normal[t], a,
+                bend,
             )
             for t in range(len(view))
         ], 0, -1)
@@ -104,19 +109,21 @@ def below(first: object, seen: np.ndarray) -> np.ndarray:
     return np.repeat(seen, np.diff(first.numpy().astype(int)), axis=0)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("count", [64, 100])
+@pytest.mark.parametrize(("count", "bend"), [
+    (64, None), pytest.param(100, None, marks=pytest.mark.slow),
+    (64, np.array([[0.02, 0.05, 0.01], [0.0, -0.01, 0.03]])),
+])  # fmt: skip
 def test_unrefined_lobe_is_the_sum_over_visible_cells(
-    count: int, monkeypatch: pytest.MonkeyPatch
+    count: int, bend: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Compare with the exact BRDF of each coarse cell, blurred over its disk."""
+    """Compare with the exact BRDF of each coarse cell, blurred over its disk and over normals."""
     monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
     grid, surface, visibility = surroundings(spotted(), count)
     normal, view = views_of(grid)
     seen = bits_of(visibility.coarse, count, grid.count)
     assert 0.05 < seen.mean() < 0.5
-    exact = direct(visibility.tree.coarse, seen, normal, view)
-    ours = found_by(visibility, surface, view)
+    exact = direct(visibility.tree.coarse, seen, normal, view, bend=bend)
+    ours = found_by(visibility, surface, view, bend=bend)
     # Cosines of grazing directions have larger relative errors in single precision.
     size = exact.max(axis=3, keepdims=True)
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=1e-4, atol=1e-5 * float(size[1:].max()))
@@ -190,7 +197,7 @@ def test_rough_metal_under_a_sun_matches_mitsuba() -> None:
     cosine = (view * np.array(grid.normal, np.float64).T).sum(axis=1)
     seen = np.flatnonzero(cosine > 0.15)
     (metal,) = WideLobes(visibility, np.array([0.36]), 3).reflect(
-        surface.lane, mi.Vector3f(surface.normal), to_drjit(mi.Vector3f, view.T),
+        surface.lane, Normals.of(surface.normal), to_drjit(mi.Vector3f, view.T),
         to_drjit(mi.Float, np.maximum(cosine, 1e-3)),
     )  # fmt: skip
     model = np.mean([0.8 * np.array(p) + np.array(q) for p, q, _ in metal], axis=0)[seen]

@@ -82,7 +82,8 @@ class Samples:
             place = dr.opaque(mi.UInt32, slot)
             seen = observed.visibility.sample(observed.views, surface, place)
             free = mi.Bool(True) if mirrors is None else mirrors.test(place, surface.index)
-            columns = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
+            cosine = dr.maximum(seen.cosine, 1e-3)
+            columns = model.columns(seen.direction, cosine, free, bend=seen.bend)
             b = as_channels(seen.radiance, channels)
             dr.eval(seen, b, columns)
             fields = np.array([
