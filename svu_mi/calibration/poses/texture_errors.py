@@ -5,7 +5,7 @@ gradient of the photograph times the shift. Errors of light and shading vary slo
 surface, so that patches of texels have an unknown brightness in each photograph.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -63,6 +63,9 @@ def texture_equations(
         distances: (V,), distance of each camera from the object.
     """
     grid = texels(capture.mesh, (side, side))
+    # Sharp highlights: blurred ones hide how far they are off.
+    flat = dr.zeros(mi.Vector3f, grid.count)
+    grid = replace(grid, turns=(flat, flat))
     known = estimate(capture, grid, preset=SWITCHES)
     assert known.observed is not None
     seen, unit = known.observed.seen, known.observed.unit
