@@ -18,6 +18,7 @@ from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.spectrum import SpectrumKernel
 from svu_mi.presets import PRESETS, preset
 from svu_mi.recovery import recover as entry
+from svu_mi.recovery import recovery_run
 from svu_mi.recovery.path.pixel_loss import PathObjective
 from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import (
@@ -134,7 +135,8 @@ def recorded(monkeypatch):
 
         monkeypatch.setattr(kind, "__post_init__", done)
 
-    monkeypatch.setattr(entry, "descend", brief)
+    for module in (entry, recovery_run):  # textures, and the smoothed start
+        monkeypatch.setattr(module, "descend", brief)
     monkeypatch.setattr(entry, "regularized", with_rules)
     watch(TotalVariation, recorded.variations)
     watch(GlobalSharing, recorded.sharing)
