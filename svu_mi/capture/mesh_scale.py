@@ -11,13 +11,14 @@ from svu_mi.capture.sensors import film_size, projected
 from svu_mi.core.arrays import evenly_spaced
 
 # Quotients of usual units, and of wrong conversions: mm, cm, m, km, inch.
-RATIOS = (10.0, 25.4, 100.0, 1000.0)
+RATIOS = (10.0, 25.4, 39.37, 100.0, 1000.0)
 FACTORS = tuple(1 / ratio for ratio in RATIOS) + RATIOS
 VERTICES, VIEWS = 400, 16  # sample sizes
 INSIDE = 0.5  # share of cameras in the bounding box of the mesh that is suspicious
 HIDDEN = 0.25  # share of visible vertices below which a mesh is not framed by its cameras
 FRAMED = 0.5  # share of visible vertices from which it is
 TINY, SMALL, LARGE = 0.03, 0.1, 2.0  # extent in the photographs, relative to their sides
+ALIKE = 2.0  # ratio of factors that the photographs hardly distinguish
 APART = 6.0  # ratio of bounding boxes of points and mesh that is suspicious
 
 
@@ -27,6 +28,7 @@ class WrongScale:
 
     problem: str
     factor: float | None
+    others: tuple[float, ...] = ()  # similar factors, with which the mesh is framed, too
 
     def sentence(self, imported: float | None) -> str:
         """Return the problem and its remedy.
@@ -35,10 +37,9 @@ class WrongScale:
         """
         if self.factor is None:
             return f"{self.problem}: check that mesh and poses have one unit and one origin."
-        remedy = f"scale the shape by {self.factor:.4g}"
-        if imported is not None:
-            remedy = f"import with --mesh-scale {self.factor * imported:.4g}"
-        return f"{self.problem}: mesh and poses have different units; {remedy}."
+        by = " or ".join(f"{each * (imported or 1):.4g}" for each in (self.factor, *self.others))
+        remedy = "scale the shape by" if imported is None else "import with --mesh-scale"
+        return f"{self.problem}: mesh and poses have different units, or frames; {remedy} {by}."
 
 
 def wrong_scale(
@@ -75,19 +76,25 @@ def wrong_scale(
         problem = f"the mesh covers {size:.1g} of the width of the photographs"
     else:
         return None
-    return WrongScale(problem, _best_factor(vertices, some, None if points is None else ratio))
+    best, *others = _best_factors(vertices, some, None if points is None else ratio) or [None]
+    return WrongScale(problem, best, tuple(factor for factor in others if factor is not None))
 
 
-def _best_factor(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> float | None:
-    """Return the usual factor with which the cameras frame the mesh best."""
+def _best_factors(
+    vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None
+) -> list[float | None]:
+    """Return the usual factor with which the cameras frame the mesh best, and similar ones."""
     sizes = {}
     for factor in FACTORS:
         share, size = framing(vertices * factor, sensors)
         if share >= FRAMED and SMALL <= size <= LARGE:
             sizes[factor] = size
-    if ratio is None:
-        return max(sizes, key=sizes.__getitem__, default=None)
-    return min(sizes, key=lambda factor: abs(np.log(factor / ratio)), default=None)
+    def unlikely(factor: float) -> tuple[bool, float]:
+        size = sizes[factor]
+        return (size > 1, -size) if ratio is None else (False, abs(np.log(factor / ratio)))
+
+    order = sorted(sizes, key=unlikely)
+    return [factor for factor in order if 1 / ALIKE < factor / order[0] < ALIKE]
 
 
 def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float]:

@@ -109,7 +109,7 @@ class PhotographOptions:
 
     images: Folder = None
     """Folder of the photographs, named view_0000.exr, ... or by sensor ids, or one per sensor in
-    alphabetical order (default: the folder of the scene)."""
+    natural order (default: the folder of the scene)."""
     missing: Missing = "refuse"
     """Sensors without a photograph: refuse stops, leave-out continues with the other sensors."""
     gains: Literal["auto", "given", "estimate"] = "auto"

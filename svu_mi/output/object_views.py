@@ -7,7 +7,7 @@ import numpy as np
 
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.capture.tonemap import tone_mapped, with_bounds
-from svu_mi.capture.up_direction import NEAR_AXIS, UP
+from svu_mi.capture.up_direction import UP
 from svu_mi.guidance.strategies import farthest
 
 COARSE = 128  # pixels of the longer side, to measure brightness
@@ -16,6 +16,7 @@ MARGIN = 0.06  # around the object, relative to its size
 Window = tuple[float, float, float, float]  # left, right, top, bottom, as fractions of the image
 
 Axis = Literal["y", "z"]
+Up = Axis | tuple[float, float, float]
 DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.0)}
 
 
@@ -107,6 +108,12 @@ def viewing_frame(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(up, front), up, front])
 
 
-def nearest_axis(up: np.ndarray) -> Axis:
-    """Return the world axis, ``z`` or ``y``, closest to an upward direction."""
-    return "z" if up @ DIRECTION["z"] > NEAR_AXIS else "y"
+def named_up(up: np.ndarray) -> Up:
+    """Return ``y`` or ``z`` for an upward direction along this axis, else the direction."""
+    x, y, z = up.tolist()
+    return next((axis for axis, own in DIRECTION.items() if own == (x, y, z)), (x, y, z))
+
+
+def upward(up: Up) -> tuple[float, float, float]:
+    """Return the upward direction of a name or direction."""
+    return DIRECTION[up] if isinstance(up, str) else up

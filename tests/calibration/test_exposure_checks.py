@@ -288,7 +288,7 @@ def test_much_saturation_is_reported(vase, monkeypatch):
     assert saturated_share(capture, reduce_photographs(capture, 31)) < 0.05  # of all photographs
 
     monkeypatch.setattr("svu_mi.calibration.checks.exposure_checks.too_bright", lambda _: None)
-    words = "15 % of the object's pixels are saturated or unusable"
+    words = "15 % of the samples of texels are saturated or unusable"
     for counts, told in (([2, 0], []), ([0, 3], [words])):
         seen = SimpleNamespace(clipped_coverage=np.array(counts), shown=np.array([12, 8]))
         with warnings.catch_warnings(record=True) as caught:

@@ -314,8 +314,8 @@ def test_the_scale_is_said_as_long_as_it_is_open():
     assert scale_sentence(made_up_light()) == (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
         "light are estimated: R 0.72 to 1.39, G 0.66 to 1.51, B 0.72 to 1.39 (90 % intervals). It "
-        "is narrowed by --grey-card of svu light, and its part common to all channels is removed "
-        "by --mean-albedo. Metals may deviate further."
+        "is narrowed by a well-seen spot for --grey-card of svu light, and its part common to all "
+        "channels is removed by --mean-albedo. Metals may deviate further."
     )
     assert "R 1.00 to 1.00, G 0.78 to 1.28, B 1.00" in scale_sentence(made_up_light().scaled(2))
     assert "were given" in scale_sentence(made_up_light().scaled(np.full(3, 2)))

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from support.helpers import ball, lettered, recovered_folder, write_known, write_older
 
 import svu_mi as svu
@@ -339,9 +340,20 @@ def test_up_follows_the_cameras_of_the_recovery(result, tmp_path):
     assert svu.load_asset(folder).up == "z"
     svu.export_asset(folder, tmp_path / "asset", svu.ExportOptions(formats=("glb",)))
     assert json.loads((tmp_path / "asset" / "asset.json").read_text())["mesh"]["up"] == "z"
-    low, high = trimesh.load_scene(tmp_path / "asset" / "asset.glb").bounds
+    _, high = trimesh.load_scene(tmp_path / "asset" / "asset.glb").bounds
     mesh = svu.load_asset(folder).mesh.positions
     np.testing.assert_allclose(high[1], mesh[:, 2].max(), atol=1e-5)
+    lean = np.eye(4)
+    lean[:3, :3] = Rotation.from_euler("xz", [140, 30], degrees=True).as_matrix()
+    for matrix in tree.findall("sensor/transform/matrix"):
+        pose = lean @ np.array(matrix.get("value").split(), float).reshape(4, 4)
+        matrix.set("value", " ".join(map(str, pose.ravel())))
+    tree.write(path)
+    upward = lean[:3, 2]
+    np.testing.assert_allclose(svu.load_asset(folder).up, upward, atol=0.02)
+    svu.export_asset(folder, tmp_path / "asset", svu.ExportOptions(formats=("glb", "xml")))
+    _, high = trimesh.load_scene(tmp_path / "asset" / "asset.glb").bounds
+    np.testing.assert_allclose(high[1], (mesh @ upward).max(), atol=0.03)
     for broken in ("1 2", "x " * 16):  # says nothing, and is no reason to refuse the textures
         for matrix in tree.findall("sensor/transform/matrix"):
             matrix.set("value", broken)

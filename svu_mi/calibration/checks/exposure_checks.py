@@ -187,7 +187,7 @@ def warn_of_exposure(capture: Capture, estimate: Estimate) -> Capture:
     sentences, seen = [too_bright(estimate)], estimate.observed
     if seen is not None and seen.clipped_coverage is not None:
         share = float(seen.clipped_coverage.sum() / max(seen.shown.sum(), 1))
-        sentences.append(saturation_sentence(share))
+        sentences.append(saturation_sentence(share, "the samples of texels"))
     return capture.warned(*filter(None, sentences))
 
 
@@ -207,12 +207,12 @@ def saturated_share(capture: Capture, small: Capture) -> float:
     return float(over / max(inside, 1))
 
 
-def saturation_sentence(share: float) -> str | None:
-    """Return a warning if more of the object than ``SATURATED`` is saturated, else None."""
+def saturation_sentence(share: float, of: str = "the object's pixels") -> str | None:
+    """Return a warning if a larger share than ``SATURATED`` is saturated, else None."""
     if share <= SATURATED:
         return None
     return (
-        f"{100 * share:.0f} % of the object's pixels are saturated or unusable: base colour and "
+        f"{100 * share:.0f} % of {of} are saturated or unusable: base colour and "
         "roughness will be off; photograph with a shorter exposure, or in HDR."
     )
 

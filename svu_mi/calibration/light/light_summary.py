@@ -128,7 +128,8 @@ def scale_sentence(estimate: LightEstimate) -> str:
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
         f"light are estimated: {channel_factors(*estimate.scale_interval)} (90 % intervals). It is "
-        f"narrowed by --grey-card of svu light{common}. Metals may deviate further."
+        f"narrowed by a well-seen spot for --grey-card of svu light{common}. Metals may deviate "
+        "further."
     )
 
 

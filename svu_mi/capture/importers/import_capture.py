@@ -67,6 +67,11 @@ SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "
 TABLE = 4.0  # side of a table, in diagonals of the object
 MAX_DEPTH = 6  # path depth for renderings of the written scene
 PIXELS_AT_A_TIME = 2**26  # pixels that are converted in parallel, about 60 bytes each
+TABLE_IN_THE_DARK = (
+    "--table: without a light, the light is estimated as if no table were there, which makes "
+    "roughness and metallic worse than without --table: give the light (--environment), or omit "
+    "--table."
+)
 NO_LIGHT = (
     "The capture has no light. Commands estimate it from the photographs; svu light shows the "
     "estimate. If you have an environment map, import again with --environment."
@@ -159,6 +164,8 @@ class ImportPlan:
             sensors = [frame.sensor(_clip_planes(frame, geometry.mesh)) for frame in squares]
             table = self._table(geometry.mesh, sensors)
             notes += _write_scene(draft.folder, geometry, light, [*table, *_sensors(sensors)])
+            if light is None and table:
+                notes.append(TABLE_IN_THE_DARK)
             if light is None and options.flash is None:
                 seen = sum(not photograph.empty for photograph in views)
                 notes.append(too_few_for_light(seen) or NO_LIGHT)

@@ -18,7 +18,7 @@ from svu_mi.core.identifiers import plain_name
 from svu_mi.core.io.schema import LARGEST
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded_image
-from svu_mi.output.object_views import Axis, nearest_axis
+from svu_mi.output.object_views import Up, named_up
 from svu_mi.recovery.svbrdf_textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # folder and file of an export
@@ -40,7 +40,7 @@ class Asset:
         normals: (H, W, 3) float32 in [0, 1], normal map of the object, any resolution; None without
             one, and if its UVs are mirrored: tangents of other programs differ there.
         two_sided: Whether back faces reflect light, too.
-        up: Upward axis of the world, ``y`` or ``z``.
+        up: Upward axis of the world, ``y`` or ``z``, or its upward direction.
         source: Origin of the data, for the record.
         capture: Digest of the capture; empty if unknown.
 
@@ -60,7 +60,7 @@ class Asset:
     deviations: Mapping[str, np.ndarray] = field(default_factory=dict)
     normals: np.ndarray | None = None
     two_sided: bool = False
-    up: Axis = "y"
+    up: Up = "y"
     source: str | None = None
     capture: str = ""
 
@@ -111,7 +111,7 @@ class Asset:
             deviations=deviations,
             normals=_normals_of(capture),
             two_sided=is_two_sided(capture.shape.bsdf()),
-            up=nearest_axis(up_direction(capture)),
+            up=named_up(up_direction(capture)),
             source=capture.source,
             capture=capture_key(capture),
         )

@@ -21,7 +21,7 @@ from svu_mi.core.identifiers import materialx_name, obj_name
 from svu_mi.core.io.files import write_text
 from svu_mi.output.export.asset import TEXTURES, Asset, AssetFile
 from svu_mi.output.export.glb import as_trimesh, upward_uvs
-from svu_mi.output.object_views import DIRECTION, Axis
+from svu_mi.output.object_views import Up, upward
 from svu_mi.output.texture_files import FILES, object_node
 from svu_mi.parameters import CHANNELS
 
@@ -42,7 +42,7 @@ INPUTS = {
 }  # fmt: skip
 
 
-def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
+def write_mitsuba(asset: Asset, folder: Path, *, up: Up) -> list[AssetFile]:
     """Write ``object.xml``, ``mesh.ply`` and ``preview.xml``, which use the EXR textures.
 
     ``up`` is the upward axis of the preview's camera.
@@ -67,10 +67,10 @@ def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[AssetFile]:
     ]  # fmt: skip
 
 
-def _preview(asset: Asset, up: Axis) -> list[Element]:
+def _preview(asset: Asset, up: Up) -> list[Element]:
     """Return the nodes of a scene: object, grey background, lamp at the upper left."""
     shape = make_mesh(asset.name, asset.mesh)
-    camera = sphere_sensors(shape, 1, FILM, up=DIRECTION[up], lowest=-0.4)[0]
+    camera = sphere_sensors(shape, 1, FILM, up=upward(up), lowest=-0.4)[0]
     pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)
     center, radius = bounding_sphere(shape)
     left, above, forward = pose[:3, :3].T

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
@@ -17,20 +18,19 @@ from trimesh.visual.material import PBRMaterial
 import svu_mi
 from svu_mi.capture.image_io import decoded, quantized, srgb
 from svu_mi.capture.mesh import MeshArrays, flipped_v
+from svu_mi.capture.up_direction import UP
 from svu_mi.core.io.files import replacing
 from svu_mi.output.export.asset import SD, Asset, AssetFile
 from svu_mi.output.export.asset_images import orm_image
-from svu_mi.output.object_views import Axis
+from svu_mi.output.object_views import Up, upward
 from svu_mi.output.style import COLORMAP
 
 ASSET, ENTROPY = "asset.glb", "entropy.glb"
-# glTF 2.0, Sec. 3.4: right-handed, +Y up.
-TURN = {"y": np.eye(4), "z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
 UNLIT = "KHR_materials_unlit"
 
 
 def write_asset_glb(
-    asset: Asset, folder: Path, at_vertices: Mapping[str, np.ndarray], *, up: Axis
+    asset: Asset, folder: Path, at_vertices: Mapping[str, np.ndarray], *, up: Up
 ) -> AssetFile:
     """Write ``asset.glb``: mesh and textures (8-bit PNG) in one file.
 
@@ -72,7 +72,7 @@ def _add_deviations(asset: Asset, tree: dict[str, Any]) -> None:
         tree["materials"][0]["extras"] = extras
 
 
-def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Axis) -> AssetFile:
+def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Up) -> AssetFile:
     """Write ``entropy.glb``: the mesh with entropy as unlit vertex colours.
 
     A separate file, because glTF multiplies vertex colours with textures.
@@ -100,7 +100,7 @@ def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Ax
 
 
 def _write(
-    path: Path, asset: Asset, visual: Any, up: Axis, attributes: Mapping[str, np.ndarray],
+    path: Path, asset: Asset, visual: Any, up: Up, attributes: Mapping[str, np.ndarray],
     change: Any = None,
 ) -> None:  # fmt: skip
 
@@ -109,9 +109,11 @@ def _write(
         if change is not None:
             change(tree)
 
+    turn = np.eye(4)  # glTF 2.0, Sec. 3.4: right-handed, +Y up
+    turn[:3, :3] = Rotation.align_vectors([UP], [upward(up)])[0].as_matrix()
     scene = trimesh.Scene()
     mesh = as_trimesh(asset.mesh, visual, attributes)
-    scene.add_geometry(mesh, node_name=asset.name, geom_name=asset.name, transform=TURN[up])
+    scene.add_geometry(mesh, node_name=asset.name, geom_name=asset.name, transform=turn)
     # Without normals, glTF requires flat shading (Sec. 3.7.2.1), like Mitsuba.
     data = export_glb(
         scene, include_normals=asset.mesh.normals is not None, tree_postprocessor=finish

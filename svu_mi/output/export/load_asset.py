@@ -26,7 +26,7 @@ from svu_mi.core.memory import Size
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
 from svu_mi.output.export.asset import Asset, usable_normals
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.object_views import nearest_axis
+from svu_mi.output.object_views import named_up
 from svu_mi.output.run_record import RECORD
 from svu_mi.output.texture_files import FILES, MESH, NORMALS, SCENE, read_textures
 
@@ -104,7 +104,7 @@ class AssetPlan:
             deviations=_read_deviations(folder / UNCERTAINTY, textured),
             normals=normals,
             two_sided=shape.find("bsdf[@type='twosided']") is not None,
-            up=nearest_axis(up_of_poses(_camera_poses(scene))),
+            up=named_up(up_of_poses(_camera_poses(scene))),
             source=str(folder),
             capture=marks_of(textured)[1],
         )

@@ -58,8 +58,8 @@ class ExportOptions:
 
     up: Axis | None = None
     """Upward axis of the world, ``y`` or ``z``; default None derives it from the cameras. glTF has
-    +Y up, so a +Z-up world is rotated in the GLB, and only there. Set it if the object lies on its
-    side."""
+    +Y up, so a world with another direction is rotated in the GLB, and only there. Set it if the
+    object lies on its side."""
 
     def __post_init__(self) -> None:
         require_types(self)

@@ -266,7 +266,7 @@ def test_cameras_inside_a_closed_mesh_mean_other_units(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=2, radius=100.0)
     given = source_of(tmp_path / "given", ball, around())
     notes = import_capture(given, tmp_path / "capture")
-    sentence = "mesh and poses have different units; import with --mesh-scale 0.01."
+    sentence = "mesh and poses have different units, or frames; import with --mesh-scale 0.01."
     assert any(note.endswith(sentence) for note in notes)
     assert not any("flipped" in note for note in notes)
     assert outwardness(tmp_path / "capture") > 0.2
