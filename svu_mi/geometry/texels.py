@@ -24,7 +24,7 @@ from svu_mi.geometry.rasterize_uv import rasterize
 OVERLAP_LIMIT = 0.05  # largest fraction of overlapping texels, which are omitted
 OUTSIDE_LIMIT = 1e-3  # largest fraction of faces outside the unit square
 MAX_RESOLUTION = 16384
-CHUNK = 2**20  # texels interpolated at once, at 500 bytes each
+CHUNK = 2**19  # texels interpolated at once, at 700 bytes each
 COARSEST = 1e-4  # largest rounding step of coordinates, relative to the mesh's extent
 
 

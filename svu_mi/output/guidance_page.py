@@ -206,6 +206,18 @@ def information_gain_limit(maps: np.ndarray) -> float:
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
 
+def information_gain_picture(
+    capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
+) -> np.ndarray:
+    """Render the information gain from a proposed camera, (h, w, 4); grey where it is 0.
+
+    ``maps`` (proposals, T) is ``Guidance.gain_maps()``; all proposals share its colour scale.
+    """
+    look = ObjectView.at(object_only_scene(capture), _enlarged(guidance.proposals[proposal].sensor))
+    limit = information_gain_limit(maps)
+    return information_gain_pictures([look], guidance, maps[proposal : proposal + 1], limit)[0]
+
+
 def information_gain_pictures(
     looks: Sequence[ObjectView], guidance: Guidance, maps: np.ndarray, limit: float
 ) -> list[np.ndarray]:
