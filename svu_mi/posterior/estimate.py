@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.replace_material import other_shapes
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, counted
 from svu_mi.geometry.texels import Texels
@@ -83,9 +84,13 @@ class Estimate:
         """How well held-out photographs are predicted, and whether the light knew them."""
         if self.prediction is None:
             return None
-        is_found = self.observed is not None and self.observed.capture.found_light is not None
-        knew = " The light was estimated from all photographs." if is_found else ""
-        return f"{self.prediction.sentence()}{knew}"
+        capture = None if self.observed is None else self.observed.capture
+        if capture is None or capture.found_light is None:
+            return self.prediction.sentence()
+        others = ""
+        if other_shapes(capture.scene, capture.shape):
+            others = ", as if the object were alone: give the light, or leave other shapes out"
+        return f"{self.prediction.sentence()} The light was estimated from all photographs{others}."
 
     def image(self, name: str) -> np.ndarray:
         """Return a per-texel result as a float32 texture.

@@ -24,13 +24,15 @@ from svu_mi.calibration.light.light_summary import (
     scale_sentence,
     summary_sentences,
 )
-from svu_mi.calibration.light.resolve_light import with_map, with_resolved_light
+from svu_mi.calibration.light.resolve_light import with_light, with_map, with_resolved_light
 from svu_mi.capture.capture import LightUncertainty
 from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
+from svu_mi.capture.replace_material import make_scene
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
 from svu_mi.posterior.observations import observe
+from svu_mi.posterior.prediction import HeldOutPrediction
 
 FIELDS = (
     "logarithm",
@@ -385,3 +387,16 @@ def test_the_common_gain_of_relative_exposures_is_estimated(gray_ball, factor):
     (line,) = (line for line in said.lines if "relative to the environment map" in line)
     low, high = map(float, re.findall(r"R ([\d.]+) to ([\d.]+),", line)[0])
     assert low < factor < high < 8 * low  # unknown: 10
+
+
+def test_predictions_name_the_light_that_knew_all_photographs(gray_ball):
+    known = svu.estimate(gray_ball, svu.texels(gray_ball.mesh, 16), preset="fast")
+    known = replace(known, prediction=HeldOutPrediction(0.9, 0.8))
+    assert known.prediction_sentence == known.prediction.sentence()
+    lit = with_light(gray_ball, made_up_light())
+    found = replace(known, observed=replace(known.observed, capture=lit))
+    assert found.prediction_sentence.endswith(" The light was estimated from all photographs.")
+    floor = mi.load_dict({"type": "rectangle", "id": "floor"})
+    tabled = replace(lit, scene=make_scene([*lit.scene.shapes(), floor, *lit.scene.emitters()]))
+    found = replace(known, observed=replace(known.observed, capture=tabled))
+    assert found.prediction_sentence.endswith("give the light, or leave other shapes out.")
