@@ -18,12 +18,13 @@ from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import (
     COOLING,
     HEAT,
+    Columns,
     SampleMoments,
     Transport,
     annealed,
     columns_of,
 )
-from svu_mi.calibration.light.light_uncertainty import scale_of
+from svu_mi.calibration.light.light_uncertainty import LightScale, scale_of
 from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
@@ -80,8 +81,8 @@ def estimate_gains(
     with progress.stage("Estimating gains", ROUNDS) as stage:
         light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
-        columns, heat = columns_of(everything, light, switches), HEAT
-        level = scale_of(samples, columns, switches)
+        columns, level = _columns_and_level(everything, light, switches)
+        heat = HEAT
         if (np.abs(level.best) > NINETY * level.sd).any():  # the units probably differ
             light = light * np.exp(level.best)
             columns = columns_of(everything, light, switches)
@@ -95,6 +96,14 @@ def estimate_gains(
             heat = max(heat * COOLING, 1.0)
             stage.update(done + 1, ROUNDS)
     return gains
+
+
+def _columns_and_level(
+    transport: Transport, light: np.ndarray, switches: AngularPreset
+) -> tuple[Columns, LightScale]:
+    """Return the columns of all samples, and the scale of their brightness relative to a light."""
+    columns = columns_of(transport, light, switches)
+    return columns, scale_of(transport.samples, columns, switches)
 
 
 def with_common_gain(
@@ -111,8 +120,7 @@ def with_common_gain(
     with progress.stage("Comparing photographs with the light"):
         samples = TexelSamples.of(observed, switches, options.texels, options.known)
         light = cell_radiance(observed.lighting.environment, CELLS)
-        columns = columns_of(Transport.of(samples, CELLS), light, switches)
-        level = scale_of(samples, columns, switches)
+        _, level = _columns_and_level(Transport.of(samples, CELLS), light, switches)
     views, wide = sum(capture.used), NINETY * level.sd
     gains = FoundGains(np.tile(level.best, (views, 1)), np.zeros(views), np.zeros(views, bool))
     uncertainty = LightUncertainty(scale=tuple(map(float, level.sd)))

@@ -29,9 +29,6 @@ class LightUncertainty:
     scale: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
-UNKNOWN_LEVEL = LightUncertainty(scale=(0.7, 0.7, 0.7))  # of a given light, by exposures of EXIF
-
-
 @dataclass(frozen=True)
 class Flash:
     """Point lamp fixed to the camera.

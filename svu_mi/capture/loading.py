@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar, get_args
 import mitsuba as mi
 
 from svu_mi.capture import capture_folder
-from svu_mi.capture.capture import UNKNOWN_LEVEL, Capture
+from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.capture_folder import Description
 from svu_mi.capture.crop import WHOLE, Detail, Window
 from svu_mi.capture.image_io import ImageFile
@@ -36,6 +36,8 @@ from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
 
+# Light beside exposures of EXIF, which have another unit.
+UNKNOWN_LEVEL = LightUncertainty(scale=(0.7, 0.7, 0.7))
 Light = Literal["required", "optional"]
 Value = TypeVar("Value")
 

@@ -24,20 +24,24 @@ APART = 6.0  # ratio of bounding boxes of points and mesh that is suspicious
 
 @dataclass(frozen=True)
 class WrongScale:
-    """Evidence for another unit, and the factor of the mesh that corrects it; None if unknown."""
+    """Evidence for another unit, and factors of the mesh that may correct it, the best first."""
 
     problem: str
-    factor: float | None
-    others: tuple[float, ...] = ()  # similar factors, with which the mesh is framed, too
+    factors: Sequence[float]
+
+    @property
+    def factor(self) -> float | None:
+        """Best factor; None if unknown."""
+        return self.factors[0] if self.factors else None
 
     def sentence(self, imported: float | None) -> str:
         """Return the problem and its remedy.
 
         ``imported`` is the scale that the mesh was imported with; None for a Mitsuba scene.
         """
-        if self.factor is None:
+        if not self.factors:
             return f"{self.problem}: check that mesh and poses have one unit and one origin."
-        by = " or ".join(f"{each * (imported or 1):.4g}" for each in (self.factor, *self.others))
+        by = " or ".join(f"{each * (imported or 1):.4g}" for each in self.factors)
         remedy = "scale the shape by" if imported is None else "import with --mesh-scale"
         return f"{self.problem}: mesh and poses have different units, or frames; {remedy} {by}."
 
@@ -76,13 +80,12 @@ def wrong_scale(
         problem = f"the mesh covers {size:.1g} of the width of the photographs"
     else:
         return None
-    best, *others = _best_factors(vertices, some, None if points is None else ratio) or [None]
-    return WrongScale(problem, best, tuple(factor for factor in others if factor is not None))
+    return WrongScale(problem, _best_factors(vertices, some, None if points is None else ratio))
 
 
 def _best_factors(
     vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None
-) -> list[float | None]:
+) -> list[float]:
     """Return the usual factor with which the cameras frame the mesh best, and similar ones."""
     sizes = {}
     for factor in FACTORS:

@@ -171,10 +171,12 @@ class EstimateCommand(LitCommand):
 def print_prediction(progress: Progress, estimate: Estimate) -> None:
     """Print how well held-out photographs are predicted, as a warning if results are unreliable."""
     predicted, sentence = estimate.prediction, estimate.prediction_sentence
-    if predicted is not None and predicted.reliable:
-        progress.say(str(sentence))
-    elif predicted is not None:
-        warnings.warn(str(sentence), SvuWarning, stacklevel=2)
+    if predicted is None or sentence is None:
+        return
+    if predicted.reliable:
+        progress.say(sentence)
+    else:
+        warnings.warn(sentence, SvuWarning, stacklevel=2)
 
 
 def read_capture(

@@ -32,7 +32,6 @@ SIZE = (18.0, 10.2)  # inches
 HEADING = "Reflectance recovered from the photographs"
 TITLES = tuple(label_of(name).capitalize() for name in NAMES)
 GREYS = "grey: never seen"
-WIDEST_SD = 0.3  # upper end of the scale; the uniform prior has 0.29, the prior of metallic 0.46
 
 
 def write_recovery_overview(
@@ -99,7 +98,7 @@ def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | N
         panels.append((f"{title}, sd", partial(
             _scaled, estimate=None if sd is None else estimate, values=worst,
             label=GREYS,
-            limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2, WIDEST_SD))))  # fmt: skip
+            limits=(0, style.WIDEST_SD), ticks=(0, 0.1, 0.2, style.WIDEST_SD))))  # fmt: skip
     return [*panels, ("Entropy", partial(_scaled, estimate=estimate, label=GREYS))]
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 Panel = tuple[str, Callable[[Any], Any]]  # title, function that draws into axes
 DPI = 100
+# Upper end of standard deviations; the uniform prior has 0.29, the prior of metallic 0.46.
+WIDEST_SD = 0.3
 LEFT, RIGHT = 0.018, 0.985  # margins of a page
 COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
 VALUES_COLORMAP = "copper"  # for parameters; without grey (unseen) and yellow (uncertain)

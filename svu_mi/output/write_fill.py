@@ -32,7 +32,6 @@ MASK, PAGE = "filled.exr", "filled.png"
 LIKE = "Uncertain texels, filled from similar ones"
 INVENTED = "Uncertain texels, filled by {}"
 CELL = 3.2  # inches
-WIDEST_SD = 0.3  # upper end of the colours
 
 
 def write_filled(
@@ -130,11 +129,11 @@ def _draw_page(capture: Capture, before: TextureField, result: Filled, path: Pat
         for name in NAMES:
             if row == "standard deviation":
                 sd = result.field.sd(name).reshape(texels.count, -1).max(axis=1)
-                shown = map_colors(everywhere, sd, limits=(0, WIDEST_SD))
+                shown = map_colors(everywhere, sd, limits=(0, style.WIDEST_SD))
             else:
                 field = before if row == "before" else result.field
                 shown = texture_colors(texels, field.textures, name)
-            scale = f" (yellow: {WIDEST_SD:g})" if row == "standard deviation" else ""
+            scale = f" (yellow: {style.WIDEST_SD:g})" if row == "standard deviation" else ""
             title = f"{label_of(name).capitalize()}, {row}{scale}"
             panels.append((title, partial(draw_look, look=look, colors=shown)))
         panels.append(masks.get(row))

@@ -33,11 +33,11 @@ def test_the_factor_of_usual_units_is_found(sensors, factor, place):
         wrong = wrong_scale(positions / factor, sensors)
     assert wrong is not None
     if max(factor, 1 / factor) in INCHES:  # photographs hardly tell inches in mm from those in m
-        named = {round(max(each, 1 / each), 4) for each in (wrong.factor, *wrong.others)}
+        named = {round(max(each, 1 / each), 4) for each in wrong.factors}
         assert round(max(factor, 1 / factor), 4) in named and named <= set(INCHES)
-        assert bool(re.search(r"\d or \d", wrong.sentence(None))) == bool(wrong.others)
+        assert bool(re.search(r"\d or \d", wrong.sentence(None))) == (len(wrong.factors) == 2)
     else:
-        assert wrong.factor == pytest.approx(factor) and not wrong.others
+        assert wrong.factor == pytest.approx(factor) and len(wrong.factors) == 1
         assert wrong.sentence(2.0).endswith(f"import with --mesh-scale {2 * factor:.4g}.")
         assert wrong.sentence(None).endswith(f"scale the shape by {factor:.4g}.")
 

@@ -138,20 +138,18 @@ def _find_mistakes(
         sentence = wrong.sentence(description.mesh_scale if description else None)
         poses = decisions.with_wrong_scale(poses, sentence, corrected=factor is not None)
     elif poses.verdict == "unclear" and not poses.fixes:
-        if are_inverted(small):
+        if _masks_are_inverted(small):
             poses = replace(poses, sentence=INVERTED)
         elif fit := fit_masks(small):
             poses = replace(poses, sentence=f"{poses.sentence}{fit.sentence}")
     return scaled, factor or 1.0, (poses, light, texture), axes
 
 
-def are_inverted(capture: Capture) -> bool:
+def _masks_are_inverted(capture: Capture) -> bool:
     """Return whether the masks show the background instead of the object."""
     masks = tuple(None if mask is None else ~mask for mask in capture.masks)
-    shown, inverted = (
-        ViewMeans.of(check_views(each)).overlap for each in (capture, replace(capture, masks=masks))
-    )
-    return shown is not None and inverted is not None and inverted > max(INSIDE, shown)
+    overlap = ViewMeans.of(check_views(replace(capture, masks=masks))).overlap
+    return overlap is not None and overlap > INSIDE
 
 
 def find_axis_mistakes(

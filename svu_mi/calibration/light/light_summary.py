@@ -122,9 +122,7 @@ def scale_sentence(estimate: LightEstimate) -> str:
     if not estimate.scale_sd.any():
         return "Brightness and colour of the light were given: base colours share their errors."
     is_set = np.array_equal(estimate.scale_sd, estimate.tint_sd)  # by --mean-albedo or --grey-card
-    common = "" if is_set else (
-        ", and its part common to all channels is removed by --mean-albedo"
-    )
+    common = "" if is_set else ", and its part common to all channels is removed by --mean-albedo"
     return (
         "Base colours are determined up to a factor per channel, as brightness and colour of the "
         f"light are estimated: {channel_factors(*estimate.scale_interval)} (90 % intervals). It is "

@@ -32,7 +32,7 @@ from svu_mi.calibration.light.light_summary import (
     scale_sentence,
     summary_sentences,
 )
-from svu_mi.capture.capture import UNKNOWN_LEVEL, Capture, LightUncertainty
+from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.content_hash import photographs_key
 from svu_mi.capture.importers.envmap import read_environment_map
 from svu_mi.capture.importers.import_options import Light
@@ -243,7 +243,6 @@ def _under_given(
         )
     with_given, notes = with_map(capture, given)
     if capture.exposures_relative:
-        with_given = replace(with_given, light_uncertainty=UNKNOWN_LEVEL)
         notes = [*notes, RELATIVE_GAINS]
     for note in notes:
         progress.say(note)
