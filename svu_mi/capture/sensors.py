@@ -9,6 +9,7 @@ import scipy
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
+from svu_mi.capture.up_direction import up_of_poses
 from svu_mi.core.arrays import fibonacci
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, WHOLE, Field, checked
@@ -159,8 +160,7 @@ def projected(sensor: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def sphere_sensors(
     shape: Any, count: int, resolution: tuple[int, int], fov: float = 35.0, *,
-    distance: float | None = None, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
-    lowest: float = -1.0,
+    distance: float | None = None, up: Sequence[float] = (0.0, 1.0, 0.0), lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Place sensors on a sphere around an object (Fibonacci spiral).
 
@@ -209,12 +209,15 @@ def object_sensor(
 
 def sensors_like(
     used: Sequence[Any], shape: Any, count: int, *, distance: float | None = None,
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0), lowest: float = -1.0,
+    up: Sequence[float] | None = None, lowest: float = -1.0,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Place sensors around an object; film and field of view are those of ``used[0]``.
 
-    The default ``distance`` is the median one of ``used``; other arguments: see ``sphere_sensors``.
+    The default ``distance`` is the median one of ``used``, and the default ``up`` is theirs; other
+    arguments: see ``sphere_sensors``.
     """
+    if up is None:
+        up = up_of_poses(np.array([to_world(sensor) for sensor in used])).tolist()
     if distance is None:
         center, _ = bounding_sphere(shape)
         offsets = [to_world(sensor)[:3, 3] - center for sensor in used]

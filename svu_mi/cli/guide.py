@@ -84,8 +84,7 @@ class Guide(EstimateCommand):
             with progress.stage("Writing the results") as stage:
                 run = self.run_info(progress, progress=stage.update)
                 write_guidance(
-                    capture, estimate, guidance, place, run, up=self._up(capture),
-                    pictures=self.pictures,
+                    capture, estimate, guidance, place, run, up=self.up, pictures=self.pictures
                 )  # fmt: skip
         _print(console, capture, estimate, guidance)
         print_line(console, f"Wrote {self.output}")
@@ -125,16 +124,7 @@ class Guide(EstimateCommand):
         if count is None:
             return Candidates.without_photograph(capture)
         lowest = -1.0 if self.lowest is None else float(np.sin(np.radians(self.lowest)))
-        return Candidates.around(
-            capture, count, up=self._up(capture), lowest=lowest, distance=self.distance
-        )
-
-    def _up(self, capture: Capture) -> tuple[float, float, float]:
-        """Return the given up direction, or that of the cameras."""
-        from svu_mi.capture.up_direction import up_direction
-
-        x, y, z = up_direction(capture).tolist() if self.up is None else self.up
-        return x, y, z
+        return Candidates.around(capture, count, up=self.up, lowest=lowest, distance=self.distance)
 
     def _reachable(self, candidates: Candidates) -> Candidates:
         """Return the reachable candidates."""
@@ -241,9 +231,7 @@ def _read_numbers(path: Path) -> list[Any]:
     return values
 
 
-def _print(
-    console: Console, capture: Capture, estimate: Estimate, guidance: Guidance
-) -> None:
+def _print(console: Console, capture: Capture, estimate: Estimate, guidance: Guidance) -> None:
     """Print the current entropy, and the proposals as a table."""
     from rich.table import Table
 

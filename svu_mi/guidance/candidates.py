@@ -95,7 +95,7 @@ class Candidates:
 
     @staticmethod
     def around(
-        capture: Capture, count: int = 100, *, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+        capture: Capture, count: int = 100, *, up: tuple[float, float, float] | None = None,
         lowest: float = -1.0, distance: float | None = None,
     ) -> Candidates:  # fmt: skip
         """Place candidates on a sphere around the object, with the photographs' camera.
@@ -103,7 +103,7 @@ class Candidates:
         Args:
             capture: Capture whose first photograph defines film size and lens.
             count: Number of candidates.
-            up: Upward direction, towards the top of the sphere.
+            up: Upward direction, towards the top of the sphere; default: that of the cameras.
             lowest: Sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
             distance: Distance to the object's centre, in scene units; default: the median of the
                 photographs.

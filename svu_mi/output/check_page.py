@@ -96,6 +96,8 @@ def verdict(check: Check) -> str:
         count = len(names)
         words = "One correction makes" if count == 1 else f"{count} corrections make"
         return f"{words} the capture fit its photographs: {' + '.join(names)}."
+    if any(one.verdict == "wrong" for one in check.findings):
+        return "The capture does not fit its photographs."
     unclear = [one.question for one in check.findings if one.verdict == "unclear"]
     if any(question in AXES for question in unclear):
         return "The capture may not fit its photographs; the right correction is unclear."

@@ -8,7 +8,7 @@ import numpy as np
 
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
-from svu_mi.capture.up_direction import UP
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.output import style
 from svu_mi.output.object_views import viewing_frame
@@ -23,21 +23,22 @@ LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are 
 
 
 def draw_directions(
-    axes: Axes, capture: Capture, guidance: Guidance, *, up: tuple[float, float, float] = UP,
-    factor: float = 1.0,
+    axes: Axes, capture: Capture, guidance: Guidance, *,
+    up: tuple[float, float, float] | None = None, factor: float = 1.0,
 ) -> ScalarMappable:  # fmt: skip
     """Draw all candidates on a map of the directions around the object.
 
-    An equal-area map (Hammer projection) seen from outside, with ``up`` at the top; the first
-    photograph is in the middle column. Candidates are dots (hollow if unreachable), used
-    photographs are crosses, and proposals have their rank. Colours are ``factor`` times the scores.
+    An equal-area map (Hammer projection) seen from outside, with ``up`` (default: that of the
+    cameras) at the top; the first photograph is in the middle column. Candidates are dots (hollow
+    if unreachable), used photographs are crosses, and proposals have their rank. Colours are
+    ``factor`` times the scores.
 
     Returns:
         ``ScalarMappable`` with the candidates' colours, for ``figure.colorbar``.
     """
     center, _ = bounding_sphere(capture.shape)
     used = directions_of(capture.used_sensors, center)
-    frame = viewing_frame(np.array(up, np.float64), used[0])
+    frame = viewing_frame(np.array(up or up_direction(capture), np.float64), used[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
     gains, reachable = factor * guidance.scores, guidance.candidates.reachable
     low, high = float(np.quantile(gains[reachable], WORST)), float(gains[reachable].max())

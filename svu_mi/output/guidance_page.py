@@ -19,7 +19,6 @@ from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style
 from svu_mi.output.direction_map import draw_directions, draw_numbered
 from svu_mi.output.html import grouped
-from svu_mi.output.object_views import UP
 from svu_mi.output.panels import draw_look, draw_map, fully_seen, map_colors
 from svu_mi.output.style import INK, LEFT, MARK, RIGHT, RULE, UNSEEN, Block, Panel
 from svu_mi.posterior.estimate import Estimate
@@ -60,7 +59,7 @@ def file_names(capture: Capture, guidance: Guidance) -> list[str]:
 
 def write_guidance_overview(
     capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
-    looks: Sequence[ObjectView], path: str | Path, up: tuple[float, float, float] = UP,
+    looks: Sequence[ObjectView], path: str | Path, up: tuple[float, float, float] | None = None,
 ) -> None:  # fmt: skip
     """Draw directions, ranking and the proposed views (1800 x 1120 pixels).
 
@@ -138,7 +137,7 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
 
 
 def _directions(
-    axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float]
+    axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float] | None
 ) -> None:
     factor, unit = score_unit(guidance)
     colors = draw_directions(axes, capture, guidance, up=up, factor=factor)

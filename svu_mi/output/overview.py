@@ -40,12 +40,12 @@ def write_overview(
     """
     result, summary = EstimateArrays.of(estimate), summary or IntervalSummary.of(estimate)
     tested = estimate.prediction
-    wrong = tested if tested and not tested.reliable else None
+    wrong = estimate.prediction_sentence if tested and not tested.reliable else None
     shares: list[Panel] = [
         ("", partial(_share, summary=summary, name=name)) for name in summary.known_part
     ]
     if wrong or not shares:
-        shares = [("", partial(_sentence, text=(wrong or summary).sentence()))]
+        shares = [("", partial(_sentence, text=wrong or summary.sentence()))]
     style.write_page(path, SIZE, HEADING, _notes(capture, estimate, summary), [
         Block(panels=shares, shape=(1, len(shares)), box=(LEFT, RIGHT, 0.83, 0.905)),
         Block(panels=_objects(capture, estimate), shape=(1, 4), box=(LEFT, RIGHT, 0.41, 0.785),

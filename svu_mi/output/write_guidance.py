@@ -28,7 +28,6 @@ from svu_mi.output.guidance_page import (
     write_guidance_overview,
 )
 from svu_mi.output.maps import GUTTER, exr_attributes, padded_image
-from svu_mi.output.object_views import UP
 from svu_mi.output.run_record import RECORD, RunInfo, guidance_record, write_manifest, write_run
 from svu_mi.posterior.estimate import Estimate
 
@@ -43,12 +42,13 @@ def write_guidance(
     folder: str | os.PathLike[str],
     run: RunInfo | None = None,
     *,
-    up: tuple[float, float, float] = UP,
+    up: tuple[float, float, float] | None = None,
     pictures: bool = True,
 ) -> None:
     """Write poses, maps and pictures of the proposals, ``guidance.json`` and ``run.json``.
 
-    ``up`` is the top of the direction map; ``pictures`` enables ``guidance.png`` and thumbnails.
+    ``up`` is the top of the direction map (default: that of the cameras); ``pictures`` enables
+    ``guidance.png`` and thumbnails.
 
     Raises:
         OutputError: the folder or a file cannot be written.

@@ -703,8 +703,10 @@ def test_lamps_are_listed_and_not_tested(capture):
 
 def test_inverted_masks_are_named(capture):
     turned = tuple(None if mask is None else ~mask for mask in capture.masks)
-    poses = svu.check(replace(capture, masks=turned)).findings[0]
-    assert poses.verdict == "unclear" and poses.sentence.startswith("The masks show the background")
+    result = svu.check(replace(capture, masks=turned))
+    poses = result.findings[0]
+    assert verdict(result) == "The capture does not fit its photographs."
+    assert poses.verdict == "wrong" and poses.sentence.startswith("The masks show the background")
 
 
 def test_recorded_exposures_that_do_not_fit_are_unclear(capture):

@@ -324,6 +324,8 @@ def test_up_is_where_cameras_have_it(capture):
     np.testing.assert_array_equal(up_direction(turned), [0, 0, 1])
     heights = [to_world(s)[2, 3] for s in Turntable.around(turned, 4, side=16).sensors]
     assert np.ptp(heights) < 1e-4 and min(heights) > 0.5
+    candidates = svu.Candidates.around(turned, 9, lowest=0.2)
+    assert min(to_world(sensor)[2, 3] for sensor in candidates.sensors) > 0.1
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1, 1e3])

@@ -63,7 +63,9 @@ def _about(case: Record) -> str:
         f"predicted from the others ({fit}; gains {low:.2f} to {high:.2f}), at {case['texels']} "
         f"texels with enough photographs. Estimated in {seconds(case['seconds'])}. Gains of a "
         "held-out photograph are fitted to half of its texels, scores use the other half. Clipped "
-        "pixels and photographs with few texels are not scored. Columns with intervals: share that "
+        "pixels and photographs with few texels are not scored. R^2 is that of compressed radiance "
+        "about the mean of each photograph; PSNR is that of sRGB values, where dark pixels count "
+        "more, so the two may rank predictions differently. Columns with intervals: share that "
         "contains the pixel."
     )
 

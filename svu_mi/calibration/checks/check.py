@@ -139,7 +139,7 @@ def _find_mistakes(
         poses = decisions.with_wrong_scale(poses, sentence, corrected=factor is not None)
     elif poses.verdict == "unclear" and not poses.fixes:
         if _masks_are_inverted(small):
-            poses = replace(poses, sentence=INVERTED)
+            poses = replace(poses, verdict="wrong", sentence=INVERTED)
         elif fit := fit_masks(small):
             poses = replace(poses, sentence=f"{poses.sentence}{fit.sentence}")
     return scaled, factor or 1.0, (poses, light, texture), axes

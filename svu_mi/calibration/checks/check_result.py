@@ -40,9 +40,9 @@ class Finding:
             ``cameras`` (small errors of their poses), ``light``, ``texture``, ``gain`` (of the
             photographs), ``saturation``, ``sources`` (of the light) or ``ignored`` (unsupported
             parts of the scene).
-        verdict: ``fits``; ``wrong`` (corrected by ``fixes``); ``unclear`` (probably wrong, with
-            several possible causes or no known cause); ``unknown`` (not determined by the
-            photographs); ``note`` (information only).
+        verdict: ``fits``; ``wrong`` (corrected by ``fixes``, or as ``sentence`` says); ``unclear``
+            (probably wrong, with several possible causes or no known cause); ``unknown`` (not
+            determined by the photographs); ``note`` (information only).
         sentence: Description of the result for users.
         fixes: Best corrections, if they improve the fit.
         alternatives: Other corrections that fit equally well.

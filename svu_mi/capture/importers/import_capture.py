@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context, copy_context
 from dataclasses import dataclass, replace
@@ -267,7 +267,10 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
         for a, b in zip(gained, there, strict=True)
     )
     about_gains += [RELATIVE_GAINS] * (relative and light is not None)
-    notes = [*left_out, *duplicate_notes(frames, str(source.root)), *about_gains]
+    notes = [
+        *left_out, *_resized_notes(there, frames, source),
+        *duplicate_notes(frames, str(source.root)), *about_gains,
+    ]  # fmt: skip
     return ImportPlan(source, options, fixes, frames, str(mesh), light, notes, known, relative)
 
 
@@ -317,6 +320,23 @@ def _prepare_frames(
         frame = replace(frame, to_world=poses[0], upright=picture.upright)
         frames.append(with_size(frame, picture.size))
     return frames
+
+
+def _resized_notes(
+    calibrated: Sequence[Frame], frames: Sequence[Frame], source: Source
+) -> Iterator[str]:
+    """Yield a note about photographs whose size differs from that of their calibration."""
+    resized = [
+        pair for pair in zip(calibrated, frames, strict=True) if pair[0].size != pair[1].size
+    ]
+    if resized:
+        before, after = resized[0]
+        yield (
+            f"{source.root}: {len(resized)} of {len(frames)} photographs {are(len(resized))} "
+            f"resized, first {relative_name(source.root, after.image)} ({after.size[0]} x "
+            f"{after.size[1]} pixels instead of {before.size[0]} x {before.size[1]}); their "
+            "cameras are scaled alike."
+        )
 
 
 def _fitted_pictures(frames: Sequence[Frame]) -> list[ImageFile]:

@@ -207,8 +207,8 @@ class Viewer:
         seen = is_seen(self._estimate)
         entropy = np.array(self._estimate.entropy)
         mean = (entropy[seen] if seen.any() else entropy).mean()
-        tested = self._estimate.prediction
-        wrong = "" if tested is None or tested.reliable else f" {tested.sentence()}"
+        tested, sentence = self._estimate.prediction, self._estimate.prediction_sentence
+        wrong = "" if tested is None or tested.reliable else f" {sentence}"
         return (
             f"**{markdown_text(self._capture.shape.id())}**: "
             f"{counted(sum(self._capture.used), 'view')}, "

@@ -562,6 +562,15 @@ def test_a_mesh_without_uvs_gets_some_and_keeps_them(source, tmp_path):
     assert not (tmp_path / "capture" / "base_color.png").exists()
 
 
+def test_a_photograph_of_another_size_is_noted(source, tmp_path):
+    write_exr(source.frames[1].image, {"RGB": np.full((3, 4, 3), 0.5)})
+    notes = import_capture(source, tmp_path / "capture")
+    (note,) = [one for one in notes if "resized" in one]
+    width, height = source.frames[1].size
+    shape = f"({width // 2} x {height // 2} pixels instead of {width} x {height})"
+    assert f"1 of {len(source.frames)} photographs is resized, first 1.exr {shape}" in note
+
+
 def test_photographs_are_shrunk_with_their_cameras(source, tmp_path):
     capture = loaded(source, tmp_path / "capture", shrink=2.0)
     record = describe(capture.sensors[0])
