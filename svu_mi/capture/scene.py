@@ -30,6 +30,7 @@ LAMPS = ("AreaLight", "PointLight", "SpotLight", "DirectionalEmitter")
 LONGEST = 240  # characters of Mitsuba's messages
 DEFAULT = r"""<default\s+name=["']([^"']+)"""  # parameter of a scene
 PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
+CONTENT = re.compile(r'( - object "[^"]+"): \w+\[.*', re.DOTALL)  # of a misnamed object
 TRACE = re.compile(r"Traceback \(most recent call last\):\n(?:  .*\n)*(?:\w+: )?")  # of a plugin
 RESERVED = frozenset(("config", "filename"))  # other arguments of mi.parser.parse_file
 
@@ -118,6 +119,7 @@ def _refusal(path: Path, message: str) -> str:
 def last_sentence(message: str) -> str:
     """Return Mitsuba's message as a sentence, without positions in source code."""
     text = TRACE.sub("", re.sub(r"\[[\w.]+:\d+\]\s*", "", message))
+    text = CONTENT.sub(r"\1", text)
     text = excerpt(text.strip(), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 

@@ -568,6 +568,10 @@ def test_missing_files_and_folders_are_refused(scene):
 
 BROKEN = {
     "unknown plugin": ({"extra": '<bsdf type="plyx"/>'}, r'scene.xml: .*"plyx" not found'),
+    "misnamed texture": (
+        {"extra": '<bsdf type="principled"><texture type="checkerboard" name="rough"/></bsdf>'},
+        r'unreferenced property in .* object "rough"\.$',
+    ),
     "no sensor": ({"sensors": ""}, "the scene has no sensor; add one"),
     "projector": ({"emitter": "projector"}, r"'light' \(Projector\) is not supported; use envmap"),
     "mirrored camera": (
