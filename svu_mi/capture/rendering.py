@@ -61,13 +61,14 @@ def render_capture(
     """Render one photograph per sensor and return them as a capture.
 
     Args:
-        scene: A ``mi.Scene``, or the path of an XML file.
+        scene: A ``mi.Scene``, or the path of an XML file or a capture folder (its scene and
+            sensors are rendered).
         spp: Samples per pixel.
         seed: Seed of the first view; view i uses ``seed + i``.
         folder: Output folder of ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha is the object
             mask). It is replaced when all views are rendered. Default: a temporary folder.
         shape: Name of the target (see ``load_capture``).
-        views: Number of sensors on a sphere around the target; default: the scene's sensors.
+        views: Number of sensors on a sphere around the target; default: the existing sensors.
         resolution: Film size (width, height) in pixels, if ``views`` is given.
         defines: Values of the scene's ``<default>`` parameters, if ``scene`` is a path.
         unwrap: True computes new UVs even if the mesh has UVs (see ``load_capture``).
@@ -192,14 +193,21 @@ def plan_render(
     if seed < 0:
         raise OptionError(f"The seed must not be negative, got {seed}.")
     path = None if isinstance(scene, mi.Scene) else Path(scene)
+    label, own = str(path or "scene"), ()
     if path is not None:
+        if known := capture_folder.read(path):
+            if known.scene is None:
+                raise SceneError(f"{label}: its {capture_folder.FILE} names no scene to render.")
+            if known.flash is not None:
+                raise SceneError(f"{label}: the lamp on its camera cannot be rendered.")
+            own, path = known.make_sensors(path), known.scene
+            defines, shape = {**known.defines, **(defines or {})}, shape or known.shape
         scene = load_scene(path, defines, trust=trust, float_textures=float_textures)
-    label = str(path or "scene")
     needs_light = getattr(scene.integrator(), "needs_light", True)
     light = find_light(scene, label) if needs_light or scene.emitters() else None
     target = find_target(scene, shape, label)
     if views is None:
-        sensors = find_sensors(scene, label, "pass --views N to place some")
+        sensors = own or find_sensors(scene, label, "pass --views N to place some")
     else:
         sensors = sphere_sensors(target.mesh, views, resolution)
     require_render([film_size(sensor) for sensor in sensors], spp, label)

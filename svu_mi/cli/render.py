@@ -19,7 +19,7 @@ from svu_mi.errors import are, counted
 
 @dataclass(frozen=True, kw_only=True)
 class Render(BaseCommand):
-    """Render the sensors of a Mitsuba scene to a capture folder."""
+    """Render the sensors of a Mitsuba scene, or of a capture, to a capture folder."""
 
     uses_matplotlib = False
     first = "scene output views resolution spp define shape seed resume overwrite"

@@ -77,6 +77,21 @@ def test_rendered_folder_is_loaded_without_change(tmp_path):
         assert not mask[0, 0]
 
 
+def test_a_capture_is_rendered_with_a_view_added(tmp_path):
+    words = {"folder": tmp_path / "shot", "views": 3, "resolution": (20, 12)}
+    first = render_capture(write_scene(tmp_path), spp=4, **words)
+    record = json.loads((tmp_path / "shot" / "capture.json").read_text())
+    record["sensors"].append({**record["sensors"][0], "x_fov": 50})
+    (tmp_path / "shot" / "capture.json").write_text(json.dumps(record))
+    more = render_capture(tmp_path / "shot", spp=4, folder=tmp_path / "more")
+    assert more.count == 4 and describe(more.sensors[3])["x_fov"] == pytest.approx(50)
+    np.testing.assert_array_equal(more.images[2], first.images[2])
+    record["flash"] = {"position": [0, 0, 0], "intensity": [1, 1, 1]}
+    (tmp_path / "shot" / "capture.json").write_text(json.dumps(record))
+    with pytest.raises(SceneError, match="lamp on its camera"):
+        render_capture(tmp_path / "shot")
+
+
 def test_renders_with_one_seed_are_equal_and_views_differ(tmp_path):
     path = write_scene(tmp_path)
 
