@@ -41,6 +41,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import HeldOutPrediction
 from svu_mi.posterior.row_entropy import log_prior
 from svu_mi.posterior.spectrum import spectrum_grid, spectrum_posterior
+from svu_mi.posterior.support_plane import with_plane
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import make_plan, with_known
 from svu_mi.presets import AngularPreset, AnyPreset, Method, Preset, Skip
@@ -127,8 +128,9 @@ def _observations(
 
 def _computed(inputs: EstimatorInputs, method: Method, switches: Any) -> Estimate:
     """Compute the posterior by ``method``, and its entropy."""
+    sure: Any = inflated(switches, inputs.observed.capture)
+    inputs = with_plane(inputs, sure)
     observed = inputs.observed
-    sure: Any = inflated(switches, observed.capture)
     from_views = _from_statistics if isinstance(sure, AngularPreset) else _from_spectra
     posterior, prediction = from_views(inputs, sure)
     return Estimate(

@@ -86,11 +86,20 @@ class Estimate:
             return None
         capture = None if self.observed is None else self.observed.capture
         if capture is None or capture.found_light is None:
-            return self.prediction.sentence()
+            return self.prediction.sentence() + self._plane_sentence()
         others = ""
         if other_shapes(capture.scene, capture.shape):
             others = ", as if the object were alone: give the light, or leave other shapes out"
         return f"{self.prediction.sentence()} The light was estimated from all photographs{others}."
+
+    def _plane_sentence(self) -> str:
+        """Return a sentence about the plane on which the object stands, or ""."""
+        if self.observed is None or (albedo := self.observed.plane) is None:
+            return ""
+        return (
+            f" Instead of the light from below, a grey plane of albedo {albedo:g} is assumed; svu "
+            f"import --table 0 --table-albedo {albedo:g} adds the object's shadow."
+        )
 
     def image(self, name: str) -> np.ndarray:
         """Return a per-texel result as a float32 texture.

@@ -126,7 +126,7 @@ def _widened(posterior: Posterior, inputs: EstimatorInputs, texels: np.ndarray) 
         own = dr.gather(type(observed.texels.normal), observed.texels.normal, lanes)
         normal = np.stack([x.numpy() for x in own], axis=1)
         light, up = observed.distant_light.environment, up_direction(observed.capture)
-        support = support_error(light, up, normal)
+        support = support_error(light, up, normal, found=observed.plane is not None)
     kernel = replace(posterior.kernel, spread=inputs.test.spread, support=support)
     return replace(posterior, kernel=kernel)
 

@@ -103,6 +103,8 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
             *_without_folds(posterior, spread, moments, shape),
         )  # fmt: skip
         prediction = judged(samples, Surroundings.of(inputs.observed, texels))
+        if prediction is not None and observed.plane is not None:
+            prediction = replace(prediction, cause="surroundings")
         if prediction is not None and not prediction.reliable:
             spread = {name: UNRELIABLE * factor for name, factor in spread.items()}
         return FoldTest(spread, prediction)

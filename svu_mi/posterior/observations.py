@@ -25,6 +25,7 @@ from svu_mi.capture.surroundings import (
     reflecting_shapes,
     surroundings,
 )
+from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
@@ -36,6 +37,7 @@ from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.texels import Texels, filled_image
 from svu_mi.geometry.visibility import Visibility, trace_visibility
+from svu_mi.light.above_plane import above_plane
 from svu_mi.light.band_limited import Lighting, read_lighting
 from svu_mi.light.flash_light import FlashLight
 from svu_mi.light.lamps import Lamps, trace_lamps
@@ -84,6 +86,7 @@ class Observed:
         visibility: visibility of T texels in V views.
         seen: (S,) int64, texels to compute: all seen texels, or all T if none are skipped.
         cache: results of earlier commands, for the capture, the texels and ``seen``.
+        plane: albedo of a plane below the object that replaces the light from below, or None.
     """
 
     capture: Capture
@@ -92,12 +95,19 @@ class Observed:
     visibility: Visibility
     seen: np.ndarray
     cache: ArrayCache = ArrayCache()
+    plane: float | None = None
     _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
     _rays: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def subset(self, texels: np.ndarray) -> Observed:
         """Return a copy that computes only (t,) ``texels``, with the same light."""
         return replace(self, seen=texels, cache=ArrayCache(), _rays={})
+
+    def on_plane(self, albedo: float) -> Observed:
+        """Return a copy with the light above a plane (see ``above_plane``)."""
+        kept = {name: rays for name, rays in self._rays.items() if name == "mirrors"}
+        cache = self.cache.under("plane", albedo)
+        return replace(self, plane=albedo, cache=cache, _of_light={}, _rays=kept)
 
     def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> Observed:
         """Return (t,) texels once for each group of views, without these (see ``Visibility``).
@@ -155,7 +165,11 @@ class Observed:
         """Environment light, read on first use; black without an environment."""
         if "lighting" not in self._of_light:
             require_light(self.capture)
-            self._of_light["lighting"] = read_lighting(self.capture, sum(self.capture.used))
+            found = read_lighting(self.capture, sum(self.capture.used))
+            if self.plane is not None:
+                light = above_plane(found.environment, up_direction(self.capture), self.plane)
+                found = replace(found, environment=light)
+            self._of_light["lighting"] = found
         lighting: Lighting = self._of_light["lighting"]
         return lighting
 

@@ -38,14 +38,20 @@ def may_stand(capture: Capture) -> bool:
     return lit and is_seen_from_above(capture)
 
 
-def support_error(light: Environment, up: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of the log of base colour at S normals, (S, 3) float32."""
+def support_error(
+    light: Environment, up: np.ndarray, normal: np.ndarray, *, found: bool = False
+) -> np.ndarray:
+    """Return the standard deviation of the log of base colour at S normals, (S, 3) float32.
+
+    ``found``: ``light`` is above a plane that was found, whose shadow is unknown: d is all light
+    from below.
+    """
     world = fibonacci(POINTS)
     to_polar = polar_from_local(world @ light.to_local.T)
     radiance = np.maximum(basis_at(to_polar, LIGHT_DEGREE) @ light.coefficients(LIGHT_DEGREE), 0)
     step, height = 4 * np.pi / POINTS, world @ up
     plane = ALBEDO / np.pi * step * (np.maximum(height, 0) @ radiance)
-    changed = np.where(height[:, None] < 0, plane - radiance, 0)
+    changed = np.where(height[:, None] < 0, radiance if found else plane - radiance, 0)
     sums = step * LOBE[:, None] * (basis_at(world, 4).T @ np.hstack([changed, radiance]))
     change, whole = np.split(basis_at(normal, 4) @ sums, 2, axis=1)
     least = DARKEST * np.pi * radiance.mean(axis=0)

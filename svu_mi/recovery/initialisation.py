@@ -34,7 +34,8 @@ def estimate_for_textures(
         estimated = _reestimated_in_color(estimated, observed, progress)
     for _ in range(robust):
         with progress.stage("Reweighting samples"):
-            estimated = replace(estimated, posterior=_reweighted(estimated, observed))
+            known = estimated.observed or observed  # with the plane, if one was found
+            estimated = replace(estimated, posterior=_reweighted(estimated, known))
     return estimated
 
 

@@ -310,16 +310,17 @@ def _missing(small: Capture, unit: float) -> tuple[Finding, ...]:
     small = limit_views(small, VIEWS)
     images = tuple(image * np.float32(unit) for image in small.images)
     try:
-        found = estimate(replace(small, images=images), texels(small.mesh, TEXELS)).prediction
+        result = estimate(replace(small, images=images), texels(small.mesh, TEXELS))
     except SvuError:  # such as photographs without any texel
         return ()
+    found, plane = result.prediction, result.observed and result.observed.plane
     if found is None or found.cause != "surroundings":
         return ()
     return _findings(
         "sources", "unclear",
         "A shape that touches the lowest points of the object seems to be missing, such as a "
         "table: it shades the object or is mirrored in it. Add it to the scene, or import again "
-        "with --table 0 --table-albedo A.",
+        f"with --table 0 --table-albedo {'A' if plane is None else f'{plane:g}'}.",
     )  # fmt: skip
 
 
