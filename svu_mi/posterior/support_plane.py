@@ -23,7 +23,7 @@ from svu_mi.presets import AngularPreset, AnyPreset
 
 ALBEDOS = (0.15, 0.3, 0.5, 0.7)
 SAMPLE = 400  # number of texels
-LEAST, NEARLY = 0.03, 0.95  # gain of a plane that is kept; relative to the largest
+LEAST, NEARLY = 0.02, 0.9  # gain of a plane that is kept; relative to the largest
 
 
 def with_plane(inputs: EstimatorInputs, switches: AnyPreset) -> EstimatorInputs:
