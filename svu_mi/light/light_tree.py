@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import drjit as dr
@@ -76,6 +76,17 @@ class LightTree:
     groups: Any
     group_count: Any
     bright: Any
+
+    @cached_property
+    def every(self) -> LightCells:
+        """Cells of all depths: coarse ones, then fine ones, then leaves."""
+        depths = self.coarse, self.fine, self.leaves
+        toward, flux = (
+            to_drjit(mi.Float, np.concatenate([getattr(cells, name).numpy() for cells in depths]))
+            for name in ("toward", "flux")
+        )
+        number = sum(cells.number for cells in depths)
+        return LightCells(toward, flux, number, dr.opaque(mi.UInt32, number))
 
 
 @dataclass(frozen=True)

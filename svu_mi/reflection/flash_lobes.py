@@ -10,7 +10,6 @@ import numpy as np
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import diffuse_moments
 from svu_mi.light.flash_light import FlashCell, FlashLight
-from svu_mi.reflection.lamp_lobes import reflected
 from svu_mi.reflection.lobes import Normals, widened_ggx
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
@@ -46,4 +45,4 @@ class FlashLobes:
     ) -> list[Lobe]:  # fmt: skip
         """Return the light that each lobe reflects towards the camera."""
         sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
-        return reflected(sums, cell, dr.opaque(mi.UInt32, 1), cosine)
+        return sums.of_cells(cell, dr.opaque(mi.UInt32, 1), mi.Bool(True), cosine)

@@ -33,14 +33,5 @@ class LampLobes:
     def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light of lamps that each lobe reflects towards a camera."""
         sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
-        return reflected(sums, self.lamps.seen_from(lane), self.lamps.number, cosine)
-
-
-def reflected(sums: LobeSums, cells: Any, number: Any, cosine: Any) -> list[Lobe]:
-    """Return the light of visible cells, ``number`` (UInt32) of them, that each lobe reflects."""
-
-    def add(cell: Any, memory: Any) -> tuple[Any, Any]:
-        angles = sums.angles(cells, cell)
-        return (cell + 1, *sums.add(cells, cell, angles, mi.Bool(True), memory))
-
-    return sums.integrate(number, add, cosine)
+        cells, every = self.lamps.seen_from(lane), mi.Bool(True)
+        return sums.of_cells(cells, self.lamps.number, every, cosine)

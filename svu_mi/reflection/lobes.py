@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -116,16 +115,13 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
     To first order, the relative change of D is (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s), where
     s = sin^2 theta_h + alpha^2 cos^2 theta_h. ``up`` is cos theta_h, ``square`` is rho^2.
     """
-    squares = [alpha * alpha for alpha in widths]
-    s = [dr.fma(up * (a - 1), up, 1) for a in squares]
-    below = [
-        incident + _root(incident)(dr.fma(incident * (1 - a), incident, a)) for a in squares
-    ]  # fmt: skip
-    means, inverses = [], reciprocals([*s, *below])
-    for a, inverse, masking in zip(squares, inverses, inverses[len(s) :], strict=False):
-        change = square * inverse * dr.fma(-0.75 * a, inverse, 0.5)
-        mean = (a / np.pi) * inverse * inverse * dr.maximum(1 + change, LEAST)
-        means.append(mean * 2 * incident * masking)
+    root, means = _root(incident), []
+    for a in (alpha * alpha for alpha in widths):
+        inverse = dr.rcp(dr.fma(up * (a - 1), up, 1))
+        change = dr.fma(square * inverse, dr.fma(-0.75 * a, inverse, 0.5), 1)
+        masking = incident * dr.rcp(incident + root(dr.fma(incident * (1 - a), incident, a)))
+        mean = inverse * inverse * dr.maximum(change, LEAST)
+        means.append(mean * (2 * a / np.pi * masking))
     return means
 
 
@@ -138,16 +134,6 @@ def widened_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
         masking = dr.rcp(incident + root(dr.fma(incident * (1 - a), incident, a)))
         means.append(wide / np.pi * inverse * inverse * 2 * incident * masking)
     return means
-
-
-def reciprocals(values: list[Any]) -> list[Any]:
-    """Return 1 / x of numbers not near 0, by a single division [Montgomery 1987]."""
-    below = list(accumulate(values, lambda product, x: product * x))
-    rest, inverses = dr.rcp(below[-1]), []
-    for x, product in zip(values[:0:-1], below[-2::-1], strict=True):
-        inverses.append(rest * product)
-        rest = rest * x
-    return [rest, *inverses[::-1]]
 
 
 def dielectric_fresnel(cosine: Any) -> Any:

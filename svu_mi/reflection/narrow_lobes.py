@@ -79,8 +79,4 @@ class NarrowLobes:
         sun = self.sun
         assert sun is not None
         sums = LobeSums(self.alpha, len(lobes[0]), normals, direction)
-
-        def add(cell: Any, memory: Any) -> tuple[Any, Any]:
-            return (cell + 1, *sums.add(sun, cell, sums.angles(sun, cell), free, memory))
-
-        return added_lobes(lobes, sums.integrate(sun.count, add, cosine))
+        return added_lobes(lobes, sums.of_cells(sun, sun.count, free, cosine))

@@ -10,14 +10,14 @@ Where normals vary within a texel, lobes narrower than ``BENT`` are averaged ove
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.geometry.sample_view import fold
-from svu_mi.light.light_tree import LightCells
+from svu_mi.light.light_tree import LEAF_COUNTS, LightCells, LightTree
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.reflection.lobes import Normals, blurred_ggx, dielectric_fresnel, smith_g1
 
@@ -37,20 +37,6 @@ def added_lobes(first: list[Lobe], second: list[Lobe]) -> list[Lobe]:
     ]  # type: ignore[misc]
 
 
-class _CellAngles(NamedTuple):
-    """Radius of a cell, its square, and cosines (normal, light), (normal, half), (light, half).
-
-    ``half`` is the half vector.
-    """
-
-    radius: Any
-    square: Any
-    incident: Any
-    up: Any
-    across: Any
-    half: Any
-
-
 class Cells(Protocol):
     """Interface of light cells (``LightCells``)."""
 
@@ -62,7 +48,7 @@ class Cells(Protocol):
 
 
 class LobeSums:
-    """Sums of cells under lobes of K ascending widths."""
+    """Sums of light cells under lobes of K ascending widths: 3 K Floats per channel."""
 
     # Not a dataclass, because Dr.Jit would treat the fields as loop state.
 
@@ -73,62 +59,64 @@ class LobeSums:
         self.alpha, self.channels = alpha.tolist(), channels
         self.normals, self.direction, self.profile = normals, direction, profile
 
-    def integrate(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
-        """Sum lobes over all cells; ``add(cell, sums)`` returns the next cell and new sums."""
-        size = 3 * self.channels
-        sums = dr.alloc_local(mi.Float, size * len(self.alpha))
-        for k in range(size * len(self.alpha)):
-            sums[k] = 0 * cosine
-        (sums,) = fold(mi.UInt32(0), count, add, sums)
-        result = []
+    def zeros(self) -> list[Any]:
+        """Return empty sums."""
+        return [0 * self.direction.x for _ in range(3 * self.channels * len(self.alpha))]
+
+    def add(self, cell: tuple[Any, ...], sums: list[Any]) -> list[Any]:
+        """Add a cell, given by its direction, radius and irradiance per channel."""
+        toward, radius, light = cell
+        both = toward + self.direction  # along the half vector
+        square = dr.squared_norm(both)
+        inverse = dr.rsqrt(square)
+        across = 0.5 * square * inverse  # cosine of light and half vector
+        schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
+        parts = [value * factor for value in light for factor in (1 - schlick, schlick, dielectric)]
+        # Perpendicular to the plane of incidence, the rotation is 1 / cos theta_d as large.
+        spread = dr.square(radius) * dr.fma(2 * inverse, inverse, 0.5)
+        lobes = self._averaged(both, inverse, dr.dot(self.normals.mean, toward), spread)
+        pairs = zip(sums, product(lobes, parts), strict=True)
+        return [dr.fma(part, lobe, old) for old, (lobe, part) in pairs]
+
+    def of_cells(self, cells: Cells, count: Any, free: Any, cosine: Any) -> list[Lobe]:
+        """Return the lobes of ``count`` cells, in lanes where these are visible (``free``)."""
+
+        def add(cell: Any, sums: list[Any]) -> tuple[Any, Any]:
+            toward, radius = cells.at(cell)
+            lit = mi.Bool(free & (dr.dot(self.normals.mean, toward) > 0))
+            (sums,) = dr.if_stmt(
+                args=(sums,), cond=lit, false_fn=lambda sums: (sums,),
+                true_fn=lambda sums: (
+                    self.add((toward, radius, cells.light(cell, self.channels)), sums),
+                ),
+            )  # fmt: skip
+            return cell + 1, sums
+
+        (sums,) = fold(mi.UInt32(0), count, add, self.zeros())
+        return self.lobes(sums, cosine)
+
+    def lobes(self, sums: list[Any], cosine: Any) -> list[Lobe]:
+        """Return the lobes from their sums; ``cosine`` is that of the viewing angle."""
+        size, result = 3 * self.channels, []
         for k, alpha in enumerate(self.alpha):
             scale = smith_g1(cosine, alpha) / (4 * cosine)
             own = [scale * sums[size * k + part] for part in range(size)]
             result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
         return result
 
-    def angles(self, cells: Cells, cell: Any) -> _CellAngles:
-        """Return the radius and angles of a cell."""
-        toward, radius = cells.at(cell)
-        half = dr.normalize(toward + self.direction)
-        return _CellAngles(
-            radius, dr.square(radius), incident=dr.dot(self.normals.mean, toward),
-            up=dr.dot(self.normals.mean, half), across=dr.dot(toward, half), half=half,
-        )  # fmt: skip
-
-    def add(self, cells: Cells, cell: Any, angles: _CellAngles, free: Any, sums: Any) -> tuple[Any]:
-        """Add one cell to the lobe of each width, only in lanes where it is visible (``free``)."""
-        _, square, _, _, across, _ = angles
-
-        def reflected(sums: Any) -> tuple[Any]:
-            schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
-            parts = [
-                value * factor
-                for value in cells.light(cell, self.channels)
-                for factor in (1 - schlick, schlick, dielectric)
-            ]
-            # Perpendicular to the plane of incidence, the rotation is 1 / cos theta_d as large.
-            spread = 0.5 * square * (1 + dr.rcp(across * across))
-            lobes = self._averaged(angles, spread)
-            for k, (lobe, part) in enumerate(product(lobes, parts)):
-                sums[k] = dr.fma(part, lobe, sums[k])
-            return (sums,)
-
-        lit = mi.Bool(free & (angles.incident > 0))
-        return dr.if_stmt(args=(sums,), cond=lit, true_fn=reflected, false_fn=lambda s: (s,))
-
-    def _averaged(self, angles: _CellAngles, spread: Any) -> list[Any]:
+    def _averaged(self, both: Any, inverse: Any, incident: Any, spread: Any) -> list[Any]:
         """Return the profile of each width for a disk of light, averaged over normals."""
-        around = self.normals.around
+        around, incident = self.normals.around, dr.maximum(incident, 0)
         split = int(np.searchsorted(self.alpha, BENT)) if around else 0
         several = [
-            self.profile(dr.dot(normal, angles.half), angles.incident, self.alpha[:split], spread)
+            self.profile(dr.dot(normal, both) * inverse, incident, self.alpha[:split], spread)
             for normal in around if split
         ]  # fmt: skip
         means = [sum(values) / len(around) for values in zip(*several, strict=True)]
         if split == len(self.alpha):
             return means
-        return means + self.profile(angles.up, angles.incident, self.alpha[split:], spread)
+        up = dr.dot(self.normals.mean, both) * inverse
+        return means + self.profile(up, incident, self.alpha[split:], spread)
 
 
 @dataclass(frozen=True)
@@ -141,67 +129,94 @@ class WideLobes:
 
     def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the visible light reflected towards a camera by the lobe of each width."""
-        sums = LobeSums(self.alpha, self.channels, normals, direction)
-        traversal = _Traversal(self.visibility, lane, sums)
-        return sums.integrate(self.visibility.tree.coarse.count, traversal.coarse, cosine)
+        sums, every = LobeSums(self.alpha, self.channels, normals, direction), self._tree.every
+        listed, count = _Traversal(self.visibility, lane, normals.mean, direction).visible_cells()
 
+        def read(listed: Any, place: Any) -> tuple[Any, ...]:
+            cell = listed.read(place, place < count)
+            return *every.at(cell), every.light(cell, self.channels)
 
-class _TreeLevel(NamedTuple):
-    """Cells of one level, indices of first children, and function to add a child."""
+        def add(place: Any, listed: Any, cell: Any, totals: list[Any]) -> tuple[Any, ...]:
+            # The next cell is read in advance, which takes as long as to add one.
+            following = read(listed, place + 1)
+            return place + 1, listed, following, sums.add(cell, totals)
 
-    cells: LightCells
-    first: Any
-    below: Callable[..., Any]
+        start = mi.UInt32(0)
+        *_, totals = fold(start, count, add, listed, read(listed, start), sums.zeros())
+        return sums.lobes(totals, cosine)
+
+    @property
+    def _tree(self) -> LightTree:
+        return self.visibility.tree
 
 
 class _Traversal:
-    """Traversal of the light tree to the depth that the narrowest wide lobe needs."""
+    """Traversal of the light tree to the depth that the narrowest wide lobe needs.
 
-    def __init__(self, visibility: LightVisibility, lane: Any, sums: LobeSums) -> None:
-        self.visibility, self.lane, self.sums = visibility, lane, sums
+    Visible cells are listed first and added later, because neighbouring texels need different
+    ones: a loop over a list has as many steps as the longest list, a sum during the traversal one
+    for each cell that any texel needs.
+    """
+
+    def __init__(self, visibility: LightVisibility, lane: Any, normal: Any, direction: Any) -> None:
+        self.visibility, self.tree, self.lane = visibility, visibility.tree, lane
+        self.normal, self.direction = normal, direction
         # Independent of the widths, so that a known roughness does not change other results.
         self.flat = 1 - NARROW**2
-        self.limit = dr.opaque(mi.Float, LARGE)
+        self.limit = dr.opaque(mi.Float, LARGE / 4)
 
-    def coarse(self, cell: Any, sums: Any) -> tuple[Any, Any]:
-        """Add a coarse cell or its fine cells; return next cell and sums."""
-        cells = self.visibility.tree
+    def visible_cells(self) -> tuple[Any, Any]:
+        """Return local memory with indices in ``tree.every``, and their number."""
+        listed = dr.alloc_local(mi.UInt32, max(LEAF_COUNTS))  # cells contain different leaves
+        count = mi.UInt32(self.lane) * 0
+        listed, count = fold(mi.UInt32(0), self.tree.coarse.count, self._coarse, listed, count)
+        return listed, count
+
+    def _coarse(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
+        """List a coarse cell or its fine cells; return the next cell, the list and its length."""
+        above, lit, large = self._tests(self.tree.coarse, cell)
         free = self.visibility.coarse.test(cell, self.lane)
-        return self._add(_TreeLevel(cells.coarse, cells.first, self.fine), cell, free, sums)
 
-    def fine(self, cell: Any, sums: Any) -> tuple[Any, Any]:
-        """Add a fine cell or its leaves, which inherit its visibility."""
-        cells, free = self.visibility.tree, self.visibility.fine.test(cell, self.lane)
+        def smaller(listed: Any, count: Any) -> tuple[Any, ...]:
+            start, end = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
+            return fold(start, end, self._fine, listed, count)
 
-        def leaf(below: Any, sums: Any) -> tuple[Any, Any]:
-            angles = self.sums.angles(cells.leaves, below)
-            return (below + 1, *self.sums.add(cells.leaves, below, angles, free, sums))
+        def itself(listed: Any, count: Any) -> tuple[Any, ...]:
+            shown = free & lit
+            listed.write(cell, count, shown)
+            return listed, count + dr.select(shown, mi.UInt32(1), 0)
 
-        depth = _TreeLevel(cells.fine, cells.first_leaf, leaf)
-        return self._add(depth, cell, free, sums, inside=free)
-
-    def _add(
-        self, depth: _TreeLevel, cell: Any, free: Any, sums: Any, inside: Any = True
-    ) -> tuple[Any, Any]:
-        """Add a cell, or its children if it is too large; only where ``inside``."""
-        cells, first, below = depth
-        angles = self.sums.angles(cells, cell)
-
-        def above(sums: Any) -> tuple[Any]:
-            s = dr.fma(-self.flat * angles.up, angles.up, 1)
-            large = angles.square > self.limit * angles.across * angles.across * s
-
-            def smaller(sums: Any) -> tuple[Any, ...]:
-                start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
-                return fold(start, end, below, sums)
-
-            return dr.if_stmt(
-                args=(sums,), cond=large, true_fn=smaller,
-                false_fn=lambda sums: self.sums.add(cells, cell, angles, free, sums),
-            )  # fmt: skip
-
-        (sums,) = dr.if_stmt(
-            args=(sums,), cond=(angles.incident > -angles.radius) & inside,
-            true_fn=above, false_fn=lambda sums: (sums,),
+        listed, count = dr.if_stmt(
+            args=(listed, count), cond=above, false_fn=lambda *state: state,
+            true_fn=lambda *state: dr.if_stmt(state, large, smaller, itself),
         )  # fmt: skip
-        return cell + 1, sums
+        return cell + 1, listed, count
+
+    def _fine(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
+        """List a fine cell or its leaves, which inherit its visibility."""
+
+        def shown(listed: Any, count: Any) -> tuple[Any, ...]:
+            above, lit, large = self._tests(self.tree.fine, cell)
+            start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, cell + k) for k in (0, 1))
+            before = dr.opaque(mi.UInt32, self.tree.coarse.number)
+            leaves = before + dr.opaque(mi.UInt32, self.tree.fine.number)
+            first = dr.select(large, leaves + start, before + cell)
+            number = dr.select(large, end - start, dr.select(lit, mi.UInt32(1), 0))
+
+            def add(below: Any, listed: Any, count: Any) -> tuple[Any, ...]:
+                listed.write(below, count)
+                return below + 1, listed, count + 1
+
+            return fold(first, first + dr.select(above, number, 0), add, listed, count)
+
+        free = self.visibility.fine.test(cell, self.lane)
+        return cell + 1, *dr.if_stmt((listed, count), free, shown, lambda *state: state)
+
+    def _tests(self, cells: LightCells, cell: Any) -> tuple[Any, Any, Any]:
+        """Return whether a cell is partly above the horizon, its centre is, and it is large."""
+        toward, radius = cells.at(cell)
+        incident, both = dr.dot(self.normal, toward), toward + self.direction
+        up = dr.dot(self.normal, both)
+        # |both| = 2 cos theta_d; both / |both| is the half vector.
+        s = dr.fma(-self.flat * up, up, dr.squared_norm(both))
+        return incident > -radius, incident > 0, dr.square(radius) > self.limit * s
