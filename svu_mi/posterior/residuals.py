@@ -38,6 +38,11 @@ class Surroundings:
     cameras: np.ndarray
     pixels: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]]
 
+    @property
+    def is_seen_from_above(self) -> bool:
+        """Whether no camera is below the lowest texel."""
+        return bool(self.cameras[:, 1].min() > self.position[:, 1].min())
+
     @staticmethod
     def of(observed: Observed, texels: np.ndarray) -> Surroundings:
         """Return the geometry of texels in the used photographs."""
