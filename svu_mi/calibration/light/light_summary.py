@@ -140,10 +140,13 @@ def channel_factors(lower: np.ndarray, upper: np.ndarray) -> str:
 def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:
     """Yield sentences about the gains of photographs, and about outliers."""
     names = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
-    factor = gains.factor[~gains.odd]
-    if len(factor):
-        low, high = factor.mean(axis=1).min(), factor.mean(axis=1).max()
-        yield f"Exposure gains range from {low:.2f} to {high:.2f}."
+    kept = np.flatnonzero(~gains.odd)
+    if len(kept):
+        factor = gains.factor[kept].mean(axis=1)
+        low, high = (
+            f"{factor[k]:.2f} ({names[kept[k]]})" for k in (factor.argmin(), factor.argmax())
+        )
+        yield f"Exposure gains range from {low} to {high}."
         yield from _balance(gains)
     usual = float(np.median(gains.noise[gains.noise > 0])) if gains.noise.any() else 1.0
     for view in np.flatnonzero(gains.odd):
