@@ -89,13 +89,23 @@ def _print(console: Console, result: Check, capture: Capture) -> None:
 
 
 def _remedy(check: Check, capture: Capture) -> str:
-    if not check.fixes and check.mesh_scale == 1:
+    """Return the command or the edit that corrects the capture; empty if there is none."""
+    from svu_mi.capture import capture_folder
+    from svu_mi.capture.importers.axis_fixes import PLACES, find_fixes, scene_edit
+
+    names, scale, lead = check.fixes, check.mesh_scale, ""
+    if not names and scale == 1:
         undecided = [one.fixes for one in check.findings if one.verdict == "unclear" and one.fixes]
         if not undecided:
             return ""
-        return f"To try a correction, import with: {reimport_command(capture, undecided[0])}"
-    again = reimport_command(capture, check.fixes, check.mesh_scale)
-    return f"Import it again with: {again}"
+        names, lead = undecided[0], "To try a correction: "
+    folder = None if capture.source is None else capture_folder.read(capture.source)
+    if folder is None or not folder.imported:
+        edits = [scene_edit(fix) for fix in find_fixes(names)]
+        if scale != 1:
+            edits.append(f'<scale value="{scale:.6g}"/> {PLACES["mesh"]}')
+        return f"{lead}Edit the scene: {', '.join(edits)}."
+    return f"{lead}Import it again with: {reimport_command(capture, names, scale)}"
 
 
 def _view_table(result: Check) -> Any:

@@ -44,11 +44,13 @@ class Render(BaseCommand):
         size, defines = parse_size(self.resolution), self.source.defines()
         require_spp(self.spp, "--spp")
         require_views(self.views or 0, "--views")
+        earlier = len(list(self.output.glob(VIEWS)))
         with claimed(self.output, "render", overwrite=self.overwrite, keep=VIEWS) as place:
             self.start()
             with interruptible(lambda: _advice(len(list(place.draft.glob(VIEWS))))):
                 count = self._render(Progress(console), size, defines, place)
-        print_line(console, f"Wrote {counted(count, 'photograph')} to {self.output}")
+        replaced = f", in place of {earlier}" if earlier > count else ""
+        print_line(console, f"Wrote {counted(count, 'photograph')} to {self.output}{replaced}")
         return 0
 
     def _render(

@@ -81,7 +81,7 @@ class HeldOutPrediction:
         if self.reliable:
             good = f"good from {self.limit:g}" if self.r2 >= self.limit else "the rest is noise"
             return f"Predicts held-out photographs: {r2}, {good} (means of texels: {means})."
-        likely = f"probably, {CAUSES[self.cause]}" if self.cause else CAUSES[self.cause]
+        likely = f"perhaps, {CAUSES[self.cause]}" if self.cause else CAUSES[self.cause]
         poses = ", and try svu refine" if self.cause in ("poses", "mesh") else ""
         return (
             f"Unreliable: held-out photographs are predicted with {r2}, by means of texels with "

@@ -15,7 +15,7 @@ from support.made_up_samples import SWITCHES, photographed
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.calibration.exposure import equalized, estimate_gains, step_gains, without_gains
-from svu_mi.calibration.light import resolve_light
+from svu_mi.calibration.light import estimate_light, resolve_light
 from svu_mi.calibration.light.estimate_light import LightProblem
 from svu_mi.calibration.light.gauss_newton import (
     BALANCE,
@@ -145,6 +145,23 @@ def test_light_and_gains_are_found_together():
     assert correlation[0] > 0.95 and correlation[0] > correlation[1]
     again = without_gains(Transport.of(shown, 64), fit.gains)
     np.testing.assert_array_equal(again.samples.radiance, fit.transport.samples.radiance)
+
+
+def test_outliers_are_flagged_once_new_cells_are_fitted(monkeypatch):
+    """An excluded photograph would stay one: no other shows the light that it mirrors."""
+    samples, _ = photographed(40, 6, 64, noise=0.03)
+    problem, odd = LightProblem(samples, SWITCHES, gains=True), np.arange(6) == 1
+    start = problem.solve(((64, 1),))
+    start = replace(start, gains=replace(start.gains, odd=odd))
+    rounds = []
+
+    def step(gains, *rest):
+        rounds.append((gains.odd.any(), rest[-1] is not None))
+        return step_gains(gains, *rest)
+
+    monkeypatch.setattr(estimate_light, "step_gains", step)
+    problem.solve(((64, 3),), start)
+    assert rounds == [(False, False), (False, False), (False, True)]
 
 
 # --- captures ---------------------------------------------------------------------------------

@@ -264,7 +264,7 @@ def report_gains(
 
     ``recorded``: the photographs were divided by recorded exposures that differ.
     """
-    contradicted = recorded and gains.differ
+    contradicted = recorded and gains.vary
     too_bright = list(filter(None, [excess and excess.sentence()]))
     if gains.are_equal:
         parts = ["All photographs have the same gain, to about 5 %.", *too_bright]

@@ -48,6 +48,7 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
+REFITS = 2  # iterations without outliers
 MOVED = 0.8  # moving light is chosen if its misfit relative to fixed light is smaller
 ALBEDO = 0.5  # base colour assumed for the initial brightness
 
@@ -172,19 +173,26 @@ class LightProblem:
                 x = np.tile(np.log(np.maximum(mean, least) / ALBEDO), (number, 1))
             else:
                 x = refined(fit.x, number)
-            for _ in range(rounds):
-                fit = self._step(whole, priors, (x, gains, heat), leveled)
+            # A photograph that is excluded cannot show the light that it alone mirrors: outliers
+            # are flagged once the cells are fitted to all photographs.
+            gains = gains and replace(gains, odd=np.zeros_like(gains.odd))
+            for left in reversed(range(rounds)):
+                flags = left == 0 and heat == 1
+                fit = self._step(whole, priors, (x, gains, heat), leveled, flags)
                 x, gains, heat = fit.x, fit.gains, max(heat * COOLING, 1.0)
                 if after_round is not None:
                     after_round()
         assert fit is not None
+        if fit.gains is not None and fit.gains.odd.any():
+            for _ in range(REFITS):
+                fit = self._step(whole, priors, (fit.x, fit.gains, heat), leveled, flags=False)
         return fit
 
     def _step(
         self, whole: Transport, priors: LightPriors,
-        state: tuple[np.ndarray, FoundGains | None, float], leveled: bool,
+        state: tuple[np.ndarray, FoundGains | None, float], leveled: bool, flags: bool,
     ) -> LightFit:  # fmt: skip
-        """Run one iteration on materials, light (N, 3) and gains."""
+        """Run one iteration on materials, light (N, 3) and gains; ``flags`` updates outliers."""
         x, gains, heat = state
         now, transport = annealed(self.switches, heat), without_gains(whole, gains)
         columns = columns_of(transport, np.exp(x), now)
@@ -195,7 +203,7 @@ class LightProblem:
         system = normal_equations(transport, np.exp(x), posterior, tau, priors, logarithm)
         change = system.step()
         if gains is not None:
-            noise = posterior.kernel.noise if heat == 1 else None
+            noise = posterior.kernel.noise if flags else None
             gains, common = step_gains(gains, self.samples, system, change[len(x) :], noise)
             x = x + common
         x = x + change[: len(x)]

@@ -48,9 +48,14 @@ class FoundGains:
         return np.asarray(np.exp(self.logarithm))
 
     @property
+    def vary(self) -> bool:
+        """True if their spread exceeds the error of an estimate without a known light."""
+        return float(self.logarithm.std()) > UNCERTAIN
+
+    @property
     def differ(self) -> bool:
-        """True if outliers or spread exceed the error of an estimate without a known light."""
-        return bool(self.odd.any()) or float(self.logarithm.std()) > UNCERTAIN
+        """True if they vary, or if there are outliers."""
+        return bool(self.odd.any()) or self.vary
 
     @property
     def are_equal(self) -> bool:

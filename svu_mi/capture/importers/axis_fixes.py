@@ -79,6 +79,13 @@ FIXES = {fix.name: fix for fix in (
 )}  # fmt: skip
 
 
+PLACES = {
+    "camera": "as the first element in to_world of each sensor",
+    "light": "as the first element in to_world of the emitter",
+    "mesh": "as the last element in to_world of the shape",
+}
+
+
 def find_fixes(names: Sequence[str]) -> tuple[AxisFix, ...]:
     """Return the corrections of the given names."""
     require_known(names, FIXES, "fix")
@@ -115,3 +122,16 @@ def correct_mesh(mesh: MeshArrays, fix: AxisFix) -> MeshArrays:
         normals=None if mesh.normals is None else mesh.normals @ fix.matrix.T,
         faces=mesh.faces[:, ::-1] if mirrored else mesh.faces,
     )
+
+
+def scene_edit(fix: AxisFix) -> str:
+    """Return the edit of a Mitsuba scene that makes a correction, or its cause."""
+    if fix.matrix is None:
+        return f"{fix.name} ({fix.cause})"
+    if np.linalg.det(fix.matrix) < 0:
+        element = '<scale x="-1"/>'
+    else:
+        turn = scipy.spatial.transform.Rotation.from_matrix(fix.matrix).as_rotvec(degrees=True)
+        axis = int(np.abs(turn).argmax())
+        element = f'<rotate {"xyz"[axis]}="1" angle="{turn[axis]:.0f}"/>'
+    return f"{element} {PLACES[fix.kind]}"

@@ -21,7 +21,7 @@ from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu
 from svu_mi.capture.image_io import open_image, read_planes
-from svu_mi.capture.importers.axis_fixes import FIXES
+from svu_mi.capture.importers.axis_fixes import FIXES, scene_edit
 from svu_mi.capture.importers.convert_photographs import convert_photograph
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.import_capture import ImportOptions, import_capture
@@ -540,6 +540,23 @@ def test_fixed_cameras(source, tmp_path, fix):
             axis = "xyz".index(fix.removeprefix("camera-")[0])
             wanted = frame.to_world @ np.diag([1.0 if k in (axis, 3) else -1.0 for k in range(4)])
         np.testing.assert_allclose(to_world(sensor), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("fix", [fix for fix in FIXES.values() if fix.matrix is not None])
+def test_the_edit_of_a_scene_is_the_correction(fix):
+    edit, _, place = scene_edit(fix).partition("> ")
+    elements = ['<rotate y="1" angle="25"/><translate x="2"/>', f"{edit}>"]
+    given, turned = (
+        np.array(mi.traverse(mi.load_string(
+            '<shape version="3.0.0" type="rectangle"><transform name="to_world">'
+            f"{''.join(some)}</transform></shape>"
+        ))["to_world"].matrix).reshape(4, 4)
+        for some in (elements[:1], elements if "as the last" in place else elements[::-1])
+    )  # fmt: skip
+    matrix = np.pad(fix.matrix, (0, 1))
+    matrix[3, 3] = 1
+    wanted = matrix @ given if fix.kind == "mesh" else given @ matrix
+    np.testing.assert_allclose(turned, wanted, atol=1e-5)
 
 
 def test_fixed_mesh_and_texture(source, tmp_path):
