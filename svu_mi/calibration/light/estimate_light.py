@@ -182,10 +182,11 @@ class LightProblem:
                 x, gains, heat = fit.x, fit.gains, max(heat * COOLING, 1.0)
                 if after_round is not None:
                     after_round()
+            if gains is not None and gains.odd.any():
+                for _ in range(REFITS):
+                    fit = self._step(whole, priors, (x, gains, heat), leveled, flags=False)
+                    x, gains = fit.x, fit.gains
         assert fit is not None
-        if fit.gains is not None and fit.gains.odd.any():
-            for _ in range(REFITS):
-                fit = self._step(whole, priors, (fit.x, fit.gains, heat), leveled, flags=False)
         return fit
 
     def _step(
