@@ -472,7 +472,7 @@ def test_the_command_says_what_is_wrong_and_how_to_mend_it(knot, tmp_path, capsy
     for width in (1280, 400):
         shown = browser.open(out / "check.html", width)
         assert shown.requests == [] and shown.overflow == 0
-        assert "--fix camera-x180" in shown.evaluate("document.body.innerText")
+        assert edit in shown.evaluate("document.body.innerText")
         # One thumbnail per view, and the light before and after.
         widths = shown.evaluate("[...document.images].map(i => i.naturalWidth)")
         assert len(widths) == 10 + 2 and min(widths) > 0
