@@ -30,7 +30,7 @@ def clear_cause(patterns: ResidualPatterns) -> str:
     """Return a key of ``prediction.CAUSES`` with a pattern that sound captures lack, or ""."""
     spread, part = patterns.gain
     shift = patterns.shift[0]
-    if spread > GAINS and part > EQUALIZED and 1 - patterns.error * (1 - part) > FAIR:
+    if spread > GAINS and part > max(EQUALIZED, shift) and 1 - patterns.error * (1 - part) > FAIR:
         return "gains"
     if patterns.groups > max(GROUPS, patterns.error * shift):
         return "objects"
