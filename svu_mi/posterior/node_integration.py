@@ -21,7 +21,7 @@ from svu_mi.reflection.principled import Mixture, mixture
 from svu_mi.reflection.roughness_levels import SPLINE_LEVELS
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
 
-FAR = 28.0  # energy above the best node [nats], prior included, from which a node is skipped
+FAR = 23.0  # energy above the best node [nats], prior included, from which a node is skipped
 
 
 @dataclass(frozen=True)
