@@ -11,15 +11,10 @@ from svu_mi.light.latlong import directions, quadrature
 
 
 def above_plane(light: Environment, up: np.ndarray, albedo: float) -> Environment:
-    """Return the light above a diffuse plane, which hides the light from below.
+    """Return the light above a diffuse plane with unit normal ``up``, which hides other light.
 
     Its radiance is rho H / pi, with the albedo rho and the irradiance H of the plane. It is
     infinite and as far as the light; the object's shadow on it is neglected.
-
-    Args:
-        light: light without the plane.
-        up: (3,) unit vector, normal of the plane.
-        albedo: rho, in [0, 1].
     """
     rows, columns = light.radiance.shape[:2]
     toward = light.to_local @ up

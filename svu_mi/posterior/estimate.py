@@ -94,9 +94,8 @@ class Estimate:
 
     def _plane_sentence(self) -> str:
         """Return a sentence about the plane on which the object stands, or ""."""
-        if self.observed is None or (albedo := self.observed.plane) is None:
-            return ""
-        return (
+        albedo = self.observed and self.observed.plane
+        return "" if albedo is None else (
             f" Instead of the light from below, a grey plane of albedo {albedo:g} is assumed; svu "
             f"import --table 0 --table-albedo {albedo:g} adds the object's shadow."
         )

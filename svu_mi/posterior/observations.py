@@ -105,9 +105,8 @@ class Observed:
 
     def on_plane(self, albedo: float) -> Observed:
         """Return a copy with the light above a plane (see ``above_plane``)."""
-        kept = {name: rays for name, rays in self._rays.items() if name == "mirrors"}
         cache = self.cache.under("plane", albedo)
-        return replace(self, plane=albedo, cache=cache, _of_light={}, _rays=kept)
+        return replace(self, plane=albedo, cache=cache, _of_light={}, _rays={})
 
     def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> Observed:
         """Return (t,) texels once for each group of views, without these (see ``Visibility``).

@@ -38,9 +38,8 @@ class Surroundings:
     cameras: np.ndarray
     pixels: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]]
 
-    @property
     def is_seen_from_above(self) -> bool:
-        """Whether no camera is below the lowest texel."""
+        """Return whether no camera is below the lowest texel."""
         return bool(self.cameras[:, 1].min() > self.position[:, 1].min())
 
     @staticmethod

@@ -43,8 +43,7 @@ def support_error(
 ) -> np.ndarray:
     """Return the standard deviation of the log of base colour at S normals, (S, 3) float32.
 
-    ``found``: ``light`` is above a plane that was found, whose shadow is unknown: d is all light
-    from below.
+    If ``light`` is above a plane that was ``found``, d is all light from below.
     """
     world = fibonacci(POINTS)
     to_polar = polar_from_local(world @ light.to_local.T)

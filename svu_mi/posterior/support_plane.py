@@ -1,10 +1,9 @@
 """Plane on which the object stands, if the scene lacks one and the photographs show it.
 
-If an object may stand on something (``may_stand``), a sample of its texels is fitted with the light
-of the scene, and with grey planes instead of the light from below (``above_plane``). A plane's gain
-is by how much it lowers the noise s of the samples, in the mean of log s. The darkest plane with
-nearly the largest gain is kept, because the shadow of the object, which is not modelled, darkens
-it. Limits were chosen on our own scenes (notebooks/design/calibration.md).
+If an object may stand on something, a sample of its texels is fitted with the light of the scene,
+and with grey planes instead of the light from below. A plane's gain is the mean fall of log s, with
+the noise s of the samples. The darkest plane with nearly the largest gain is kept, because the
+object's shadow, which is not modelled, darkens it (limits: notebooks/design/calibration.md).
 """
 
 from __future__ import annotations

@@ -148,5 +148,5 @@ def replace_eyes(ball, eyes):
 @pytest.mark.parametrize("from_below, cause", [(0.3, "surroundings"), (0.1, "poses")])
 def test_clear_causes_need_no_bad_prediction(from_below, cause):
     found = SimpleNamespace(gain=(0.3, 0.2), error=0.1, shift=(0.3,), groups=0, moving_light=0.1)
-    found.from_below, found.around = from_below, SimpleNamespace(is_seen_from_above=True)
+    found.from_below, found.around = from_below, SimpleNamespace(is_seen_from_above=lambda: True)
     assert clear_cause(found) == cause
