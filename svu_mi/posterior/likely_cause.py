@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from svu_mi.posterior.photograph_patterns import PhotographPatterns
+from svu_mi.posterior.photograph_patterns import GROUPS, PhotographPatterns
 from svu_mi.posterior.reflection_patterns import ReflectionPatterns
 
-GROUPS = 0.2  # least effect of two groups of photographs
 GAINS, EQUALIZED, FAIR = 0.14, 0.15, 0.6  # sd of log gains, their effect, R^2 after them
 TURNING, TURNED = 0.2, 0.1  # clear and likely effect of a light that turns
 BELOW, BENEATH = 0.25, 0.2  # clear and likely correlation with directions that point down

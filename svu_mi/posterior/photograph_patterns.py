@@ -13,6 +13,7 @@ DARK = 0.05  # added before logarithms, in mean radiances
 FEWEST, MANY = 20, 40  # samples of a photograph that give its gain, and its shift
 STEPS = (2, 1)  # of image shifts, coarse to fine
 STARTS, ROUNDS = 8, 10  # of the search for two groups of photographs
+GROUPS = 0.2  # least effect of two groups of photographs
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,18 @@ class PhotographPatterns(Residuals):
     def groups(self) -> float:
         """Variance that means of texels in two groups of photographs explain.
 
-        More than overall means; of samples, or residuals if that is less.
+        More than overall means; of samples, or residuals if that is less. 0 if it cannot exceed
+        ``GROUPS``.
         """
-        return min(self._grouped(self.shown), self._grouped(self.shown - self.predicted))
+        of_residuals = self._grouped(self.shown - self.predicted)
+        return min(of_residuals, self._grouped(self.shown)) if of_residuals > 0 else 0.0
 
     def _grouped(self, off: np.ndarray) -> float:
         views, random = len(self.around.cameras), np.random.default_rng(0)
+        total = max(float(self.shown.var(axis=0).sum()) * len(self.shown), 1e-12)
         whole = least = self._left_out(off, np.zeros(views, np.int64))[0]
+        if whole <= GROUPS * total:
+            return 0.0
         for _ in range(STARTS):
             group = random.permutation(np.arange(views) % 2)
             for _ in range(ROUNDS):
@@ -86,7 +92,7 @@ class PhotographPatterns(Residuals):
                 if (new == group).all() or min(new.sum(), views - new.sum()) < views / 5:
                     break
                 group = new
-        return (whole - least) / max(float(self.shown.var(axis=0).sum()) * len(self.shown), 1e-12)
+        return (whole - least) / total
 
     def _left_out(self, off: np.ndarray, group: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the error of means without the sample itself, and (V, 2) errors by group."""
