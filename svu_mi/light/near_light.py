@@ -35,11 +35,13 @@ class NearLight:
             all lanes.
         moments: Diffuse moments (``LightVisibility.diffuse``), 8 (S,) Floats for R, G and B.
         count: Opaque UInt32, S.
+        shown: Scene whose first shape is the object as photographed; None if it is black.
     """
 
     values: Any
     moments: list[list[Any]]
     count: Any
+    shown: Any = None
 
     def subset(self, lanes: np.ndarray) -> NearLight:
         """Return the light of selected lanes."""
@@ -50,7 +52,7 @@ class NearLight:
         values = dr.gather(mi.Float, self.values, source)
         moments = [[dr.gather(mi.Float, x, chosen) for x in each] for each in self.moments]
         dr.eval(values, moments)
-        return NearLight(values, moments, count)
+        return NearLight(values, moments, count, self.shown)
 
     def at(self, lane: Any, local: Any) -> list[list[Any]]:
         """Evaluate R, G, B and H in a direction of the local frame: a Float for each degree."""

@@ -1,27 +1,33 @@
 """Lobes of light from other surfaces (``light/near_light.py``).
 
-A lobe of width alpha averages the radiance of what it meets, by zonal factors of each degree. Its
+A lobe of width alpha averages the radiance of other surfaces, by zonal factors of each degree. Its
 hidden part is averaged likewise, or, for lobes narrower than the expansion, decided by the ray in
-the mirror direction.
+the mirror direction. Rays of all lobes sample the object if its radiance is known.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
+from svu_mi.core.arrays import to_drjit
+from svu_mi.geometry.sample_view import TexelLanes, fold, mirror_direction
 from svu_mi.light.near_light import DEGREE, NearLight
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.albedo_table import AlbedoTable
 from svu_mi.reflection.lobes import dominance, lobe_profile, zonal_factors
 from svu_mi.reflection.wide_lobes import Lobe
 
-FAINT = 0.02  # smallest hidden part by which radiance is divided
+FAINT = 0.02  # minimum hidden part
+FEWEST, NARROWEST = 8, 0.01  # number of rays that sample the object, and smallest alpha
+GRAZING = 0.01  # smallest cosine of their viewing angle
+LATTICE = 0.7548776662466927, 0.5698402909980532  # steps of Roberts' R2 sequence
+INSIDE = 1e-6  # distance of its points from edges, where normals are NaN
 
 
 @dataclass(frozen=True)
@@ -71,19 +77,61 @@ class NearLobes:
         up = mi.Vector3f(0, 0, 1)
         directions = up, dr.normalize(up + mirror), mirror
         parts = [self.near.at(surface.lane, local) for local in directions]
-        result = []
+        some, result = parts[0][-1][0] > 0, []
+        sampled = self.near.shown and self._sample(surface, direction, some)
         for level, alpha in enumerate(self.alpha.tolist()):
             *color, hidden = self._averaged(level, parts)
-            part = hidden
-            if free is not None:
+            part, own = hidden, [mi.Float(0)] * 3
+            if sampled:
+                *own, part = sampled[level]
+            elif free is not None:
                 met = dr.select(free, mi.Float(0), 1)
                 part = dr.lerp(hidden, met, dr.opaque(mi.Float, self.sharp[level]))
             scale = dr.maximum(part, 0) / dr.maximum(hidden, FAINT)
-            color = [sum(color) / 3] if self.channels == 1 else color
-            light = [scale * dr.maximum(value, 0) for value in color]
+            color = [dr.fma(scale, dr.maximum(x, 0), y) for x, y in zip(color, own, strict=True)]
+            light = [sum(color) / 3] if self.channels == 1 else color
             A, B, D = self.albedo.at(level, alpha, cosine)
             result.append([(A * value, B * value, D * value) for value in light])
         return result
+
+    def _sample(self, surface: TexelLanes, direction: Any, active: Any) -> list[list[Any]]:
+        """Return the object's R, G and B in each lobe, and the part of its other hits.
+
+        Rays follow visible GGX normals of all widths in turn. Each lobe weights all rays by the
+        ratio of its density to their mean one (balance heuristic [Veach and Guibas 1995]).
+        """
+        scene, frame = self.near.shown, mi.Frame3f(surface.normal)
+        shape, ggx = scene.shapes()[0], partial(mi.MicrofacetDistribution, mi.MicrofacetType.GGX)
+        widths, lobe = np.unique(np.maximum(self.alpha, NARROWEST), return_inverse=True)
+        table = to_drjit(mi.Float, widths)
+        origin = surface.position + surface.offset * surface.geometric_normal
+        local = mi.Vector3f(frame.to_local(direction))
+        local.z = dr.maximum(local.z, GRAZING)
+        bits = (dr.reinterpret_array(mi.UInt32, x) for x in (direction.x, direction.y))
+        turns = [mi.Float(number) * 2**-32 for number in mi.sample_tea_32(*bits)]
+
+        def add(ray: Any, *sums: Any) -> tuple[Any, ...]:
+            point = [turn + mi.Float(ray) * step for turn, step in zip(turns, LATTICE, strict=True)]
+            point = [dr.clip(x - dr.floor(x), INSIDE, 1 - INSIDE) for x in point]
+            own = ggx(dr.gather(mi.Float, table, ray % len(widths)))
+            normal = own.sample(local, mi.Point2f(*point))[0]
+            toward = mi.reflect(local, normal)
+            world = frame.to_world(toward)
+            up = active & (toward.z > 0) & (dr.dot(surface.geometric_normal, world) > 0)
+            hit = scene.ray_intersect(mi.Ray3f(origin, world), mi.RayFlags.UV, False, up)
+            color = shape.emitter().eval(hit, hit.is_valid() & (hit.shape == mi.ShapePtr(shape)))
+            other = dr.select(hit.is_valid() & (dr.max(color) <= 0), mi.Float(1), 0)
+            lobes = [ggx(dr.opaque(mi.Float, width)) for width in widths.tolist()]
+            above = dr.select(toward.z > 0, dr.rcp(sum(x.pdf(local, normal) for x in lobes)), 0)
+            weights = [x.pdf(local, normal) * x.smith_g1(toward, normal) * above for x in lobes]
+            added = [weight * value for weight in weights for value in (1, *color, other)]
+            return ray + 1, *(old + new for old, new in zip(sums, added, strict=True))
+
+        zero = dr.zeros(mi.Float, surface.count)
+        rays = dr.opaque(mi.UInt32, len(widths) * -(-FEWEST // len(widths)))
+        sums = fold(mi.UInt32(0), rays, add, *[zero] * (5 * len(widths)))
+        return [[x / dr.maximum(sums[5 * k], FAINT) for x in sums[5 * k + 1 : 5 * k + 5]]
+                for k in lobe.tolist()]  # fmt: skip
 
     def _averaged(self, level: int, parts: list[list[list[Any]]]) -> list[Any]:
         """Return R, G, B and H averaged by a lobe, between two of the three directions."""

@@ -23,6 +23,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.near_light import DEGREE, trace_near_light
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
+from svu_mi.reflection import near_lobes
 from svu_mi.reflection.lobes import lobe_profile, zonal_factors
 from svu_mi.reflection.near_lobes import NearLobes
 
@@ -104,6 +105,28 @@ def test_lobes_in_a_furnace_see_its_radiance():
                 np.testing.assert_allclose(part.numpy(), value * whole.numpy(), rtol=0.02)
     free = lobes.reflect(surface, direction, cosine, mi.Bool(True))
     assert np.abs([x.numpy() for x in free[0][0]]).max() < 1e-3  # the mirror ray leaves
+
+
+def test_rays_of_each_lobe_look_at_the_photographed_object(monkeypatch):
+    """Along the normal, a disk has the part of a lobe whose half vectors are within ANGLE / 2."""
+    monkeypatch.setattr(near_lobes, "FEWEST", 64)
+    normals = np.tile([0.0, 0.0, 1.0], (2048, 1))
+    scene = disk_above([0, 0, 1])
+    near = replace(traced(scene, normals, 64), shown=scene)
+    alpha = np.array([1e-3, 0.1, 0.3, 0.6, 1.0])
+    lobes = NearLobes.of(near, 3, alpha, angular())
+    surface, turns = texel_facing(normals), dr.arange(mi.Float, 2048)
+    up = dr.normalize(mi.Vector3f(1e-3 * dr.cos(turns), 1e-3 * dr.sin(turns), 1))
+    found = lobes.reflect(surface, up, dr.dot(surface.normal, up), mi.Bool(False))
+    half = (np.arange(20000) + 0.5) / 20000 * np.pi / 4
+    for level, width in enumerate(alpha.tolist()):
+        ggx = 1 / (np.cos(half) ** 2 + (np.sin(half) / width) ** 2) ** 2
+        smith = 2 / (1 + np.sqrt(1 + (width * np.tan(2 * half)) ** 2))
+        weights = ggx * smith * np.cos(half) * np.sin(half)
+        share = weights[half < ANGLE / 2].sum() / weights.sum()
+        albedo = lobes.albedo.at(level, width, dr.dot(surface.normal, up))[0].numpy()
+        values = [of_color[0].numpy().mean() for of_color in found[level]]
+        np.testing.assert_allclose(values, share * RADIANCE * albedo.mean(), rtol=0.03)
 
 
 def test_zonal_factors_of_gaussian_lobes():
