@@ -95,9 +95,9 @@ def trace_near_light(
         met = scene.ray_intersect_preliminary(toward, active=up)
         hidden = up & met.is_valid()
         # Lamps are sampled directly (``lamps``).
-        dark = met.shape.is_emitter() & (met.shape != glowing)
-        color, _, _ = integrator.sample(scene, sampler, toward, None, hidden & ~dark)
-        color = dr.select(hidden & ~dark & dr.all(dr.isfinite(color)), color, 0)
+        shines = hidden & (~met.shape.is_emitter() | (met.shape == glowing))
+        color, _, _ = integrator.sample(scene, sampler, toward, None, shines)
+        color = dr.select(shines & dr.all(dr.isfinite(color)), color, 0)
         basis = dr.sh_eval(local, DEGREE)
         expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
         added = [2 * value * basis[index] for value in expanded for index in EVEN]
@@ -109,9 +109,7 @@ def trace_near_light(
     _, *sums = fold(mi.UInt32(0), number, add, sampler, *[zero] * (size + 3 * MOMENTS))
     sums = [2 * np.pi * step * total for total in sums]
     lanes = dr.opaque(mi.UInt32, count)
-    values = scatter_strided(
-        dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes
-    )  # fmt: skip
+    values = scatter_strided(dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes)
     moments = [sums[first : first + MOMENTS] for first in range(size, len(sums), MOMENTS)]
     dr.eval(values, moments)
     return NearLight(values, moments, lanes)

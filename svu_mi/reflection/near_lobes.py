@@ -65,10 +65,9 @@ class NearLobes:
     @property
     def moments(self) -> list[list[Any]]:
         """Diffuse moments, 8 (S,) Floats per channel."""
-        of_color = self.near.moments
-        return (
-            of_color if self.channels == 3 else [[sum(x) / 3 for x in zip(*of_color, strict=True)]]
-        )
+        if self.channels == 3:
+            return self.near.moments
+        return [[sum(x) / 3 for x in zip(*self.near.moments, strict=True)]]
 
     def reflect(self, surface: TexelLanes, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
         """Return the light reflected by each lobe; ``free`` marks unoccluded mirror rays."""
