@@ -17,13 +17,14 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.geometry.sample_view import fold
-from svu_mi.light.light_tree import LEAF_COUNTS, LightCells, LightTree
+from svu_mi.light.light_tree import LightCells, LightTree
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.reflection.lobes import Normals, blurred_ggx, dielectric_fresnel, smith_g1
 
 NARROW = 0.03  # maximum alpha of narrow lobes; about the distance of leaf cells
 BENT = 0.1  # maximum alpha of lobes that are averaged over normals
 LARGE = 1.6  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
+ROOM = 1024  # most leaves in a list beyond one entry per fine cell; hardly a list needs 320
 
 Lobe = list[tuple[Any, Any, Any]]
 """(p, q, d) per channel: a metal of base colour c reflects c p + q, a dielectric d."""
@@ -167,7 +168,7 @@ class _Traversal:
 
     def visible_cells(self) -> tuple[Any, Any]:
         """Return local memory with indices in ``tree.every``, and their number."""
-        listed = dr.alloc_local(mi.UInt32, max(LEAF_COUNTS))  # cells contain different leaves
+        listed = dr.alloc_local(mi.UInt32, self.tree.fine.number + ROOM)
         count = mi.UInt32(self.lane) * 0
         listed, count = fold(mi.UInt32(0), self.tree.coarse.count, self._coarse, listed, count)
         return listed, count
@@ -198,8 +199,11 @@ class _Traversal:
         def shown(listed: Any, count: Any) -> tuple[Any, ...]:
             above, lit, large = self._tests(self.tree.fine, cell)
             start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, cell + k) for k in (0, 1))
-            before = dr.opaque(mi.UInt32, self.tree.coarse.number)
-            leaves = before + dr.opaque(mi.UInt32, self.tree.fine.number)
+            # An entry remains for each of the following fine cells. Numbers are literals, because
+            # Dr.Jit 1.5 does not distinguish kernels by the size of local memory.
+            large &= count + end <= start + cell + ROOM
+            before = self.tree.coarse.number
+            leaves = before + self.tree.fine.number
             first = dr.select(large, leaves + start, before + cell)
             number = dr.select(large, end - start, dr.select(lit, mi.UInt32(1), 0))
 

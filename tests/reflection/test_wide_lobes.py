@@ -135,12 +135,26 @@ def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.Monke
     """Compare with the sum over leaves of visible fine cells."""
     monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
     grid, surface, visibility = surroundings(spotted(), 64)
+    monkeypatch.setattr(wide_lobes, "ROOM", visibility.tree.leaves.number)
     normal, view = views_of(grid)
     leaves = below(visibility.tree.first_leaf, bits_of(visibility.fine, 512, grid.count))
     exact = direct(visibility.tree.leaves, leaves, normal, view)
     ours = found_by(visibility, surface, view)
     # Cells below the horizon are skipped with their leaves.
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
+
+
+def test_lists_of_cells_do_not_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without room for their leaves, fine cells stay whole; the widest lobe changes little."""
+    monkeypatch.setattr(wide_lobes, "LARGE", 0.0)
+    grid, surface, visibility = surroundings(spotted(), 64)
+    of_rooms, (_, view) = [], views_of(grid)
+    for room in (0, visibility.tree.leaves.number):
+        monkeypatch.setattr(wide_lobes, "ROOM", room)
+        of_rooms.append(found_by(visibility, surface, view)[-1])
+    whole, leaves = of_rooms
+    error = np.sqrt(((whole - leaves) ** 2).mean(axis=2)) / leaves.mean(axis=2)
+    assert 0 < error.max() < 0.02
 
 
 @pytest.mark.parametrize("name", ["spotted", "studio-like"])
