@@ -78,8 +78,8 @@ def check_photographs(
     text = f"{counted(count, 'pixel')} {are(count)} NaN, infinite or negative; ignored."
     groups.append(([one for one in taken if one[0].invalid], text))
     black = [one for one in taken if one[0].black]
-    text = "entirely black, not used; check the exposure, or remove the photograph and its"
-    groups.append((black, f"{text} sensor."))
+    text = "entirely black, not used; check the exposure and what hides the object, or remove"
+    groups.append((black, f"{text} the photograph and its sensor."))
     return [f"{_subject(group, len(taken))}: {text}" for group, text in groups if group], used
 
 

@@ -12,7 +12,14 @@ from rich.console import Console
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.cli.import_ import reimport_command
 from svu_mi.cli.loading import NeedFunc, read_capture, with_light_search
-from svu_mi.cli.shared_options import Output, Overwrite, PhotographOptions, SceneOptions, as_dict
+from svu_mi.cli.shared_options import (
+    GivenLight,
+    Output,
+    Overwrite,
+    PhotographOptions,
+    SceneOptions,
+    as_dict,
+)
 from svu_mi.cli.streams import format_number, print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
@@ -36,9 +43,10 @@ class CheckCapture(BaseCommand):
     exposure gains, and prints the command that corrects them. Writes check.html and check.json.
     """
 
-    first = "scene output images shape define missing gains strict overwrite"
+    first = "scene output images light shape define missing gains strict overwrite"
     source: SceneOptions
     photographs: PhotographOptions = PhotographOptions()
+    light: GivenLight = None
     output: Output = Path("out/check")
     overwrite: Overwrite = False
     strict: bool = False
@@ -56,7 +64,7 @@ class CheckCapture(BaseCommand):
 
     def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
         from svu_mi.calibration.checks.check import check
-        from svu_mi.calibration.light.resolve_light import photo_gains
+        from svu_mi.calibration.light.resolve_light import photo_gains, with_resolved_light
         from svu_mi.capture.crop import Detail
         from svu_mi.output.check_page import write_check
 
@@ -67,6 +75,8 @@ class CheckCapture(BaseCommand):
         capture = read_capture(
             progress, self.source, self.photographs, need, Detail(side=SIDE), trust=self.trust
         )  # nothing is cropped: poses may be wrong
+        if self.light is not None:
+            capture = with_resolved_light(capture, self.light, progress=progress)
         if estimates:
             find = partial(photo_gains, capture, self.output / "light", progress)
         result = check(capture, gains=find, progress=progress)

@@ -448,7 +448,7 @@ def test_imported_photographs_keep_the_names_that_they_had(scene):
     assert capture.files == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
     assert capture.warnings == (
         f"{folder / 'view_0001.exr'} (IMG_8.JPG): entirely black, not used; check the "
-        "exposure, or remove the photograph and its sensor.",
+        "exposure and what hides the object, or remove the photograph and its sensor.",
     )
     paths[2] = "right/IMG_7.JPG"  # a camera of its own, that counts like the first
     assert load().names == tuple(paths)

@@ -95,7 +95,8 @@ class Comparison:
             share, how, size = one.figures["certain"], "significantly", one.figures["certain_size"]
             if share is None:
                 share, how = one.figures["beyond"] or 0.0, f"by more than {self.tolerance:g}"
-            by = f" (by {size:.3f}, {one.figures['certain_mean']:+.3f} in the mean)" if size else ""
+            mean = one.figures["certain_mean"]
+            by = f" (by {size:.3f} on average, {mean:+.3f} with the sign)" if size else ""
             clauses.append(f"{label_of(name)} differs {how} on {plain_percent(share)}{by}")
         if self.entropy is not None:
             mean = self.entropy.figures["mean"]
