@@ -566,8 +566,8 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
         "more): 8-bit, not HDR; decoded as sRGB, 600 saturated pixels are "
         "lower bounds of radiance. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
-        "entirely black, not used; check the exposure, or remove the photograph and its "
-        "sensor.",
+        "entirely black, not used; check the exposure and what hides the object, or remove "
+        "the photograph and its sensor.",
     )
 
 
