@@ -78,7 +78,7 @@ def check_photographs(
     text = f"{counted(count, 'pixel')} {are(count)} NaN, infinite or negative; ignored."
     groups.append(([one for one in taken if one[0].invalid], text))
     black = [one for one in taken if one[0].black]
-    text = "entirely black, not used; check the exposure and what hides the object, or remove"
+    text = "entirely black, not used; check the exposure and objects before the camera, or remove"
     groups.append((black, f"{text} the photograph and its sensor."))
     return [f"{_subject(group, len(taken))}: {text}" for group, text in groups if group], used
 

@@ -448,7 +448,7 @@ def test_imported_photographs_keep_the_names_that_they_had(scene):
     assert capture.files == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
     assert capture.warnings == (
         f"{folder / 'view_0001.exr'} (IMG_8.JPG): entirely black, not used; check the "
-        "exposure and what hides the object, or remove the photograph and its sensor.",
+        "exposure and objects before the camera, or remove the photograph and its sensor.",
     )
     paths[2] = "right/IMG_7.JPG"  # a camera of its own, that counts like the first
     assert load().names == tuple(paths)
@@ -566,7 +566,7 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
         "more): 8-bit, not HDR; decoded as sRGB, 600 saturated pixels are "
         "lower bounds of radiance. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
-        "entirely black, not used; check the exposure and what hides the object, or remove "
+        "entirely black, not used; check the exposure and objects before the camera, or remove "
         "the photograph and its sensor.",
     )
 

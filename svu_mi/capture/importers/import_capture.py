@@ -325,7 +325,7 @@ def _prepare_frames(
 def _resized_notes(
     calibrated: Sequence[Frame], frames: Sequence[Frame], source: Source
 ) -> Iterator[str]:
-    """Yield a note about photographs whose size differs from that of their calibration."""
+    """Yield a note about photographs whose size differs from the calibrated size."""
     resized = [
         pair for pair in zip(calibrated, frames, strict=True) if pair[0].size != pair[1].size
     ]
