@@ -145,11 +145,7 @@ def summary(runs: Sequence[KernelRun]) -> dict[str, Any]:
 
 def spread(values: Sequence[float]) -> dict[str, float]:
     """Return ``median``, minimum (``low``) and maximum (``high``)."""
-    return {
-        "median": statistics.median(values),
-        "low": min(values),
-        "high": max(values),
-    }
+    return {"median": statistics.median(values), "low": min(values), "high": max(values)}
 
 
 def measure_in_turns(

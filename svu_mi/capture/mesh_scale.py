@@ -83,15 +83,14 @@ def wrong_scale(
     return WrongScale(problem, _best_factors(vertices, some, None if points is None else ratio))
 
 
-def _best_factors(
-    vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None
-) -> list[float]:
+def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> list[float]:
     """Return the usual factor with which the cameras frame the mesh best, and similar ones."""
     sizes = {}
     for factor in FACTORS:
         share, size = framing(vertices * factor, sensors)
         if share >= FRAMED and SMALL <= size <= LARGE:
             sizes[factor] = size
+
     def unlikely(factor: float) -> tuple[bool, float]:
         size = sizes[factor]
         return (size > 1, -size) if ratio is None else (False, abs(np.log(factor / ratio)))

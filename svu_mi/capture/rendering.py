@@ -175,18 +175,10 @@ class RenderPlan:
 
 
 def plan_render(
-    scene: Any,
-    spp: int = 64,
-    seed: int = 0,
-    *,
-    shape: str | None = None,
-    views: int | None = None,
-    resolution: tuple[int, int] = (512, 512),
-    defines: Mapping[str, str] | None = None,
-    unwrap: bool = False,
-    trust: bool = False,
-    float_textures: bool = False,
-) -> RenderPlan:
+    scene: Any, spp: int = 64, seed: int = 0, *, shape: str | None = None, views: int | None = None,
+    resolution: tuple[int, int] = (512, 512), defines: Mapping[str, str] | None = None,
+    unwrap: bool = False, trust: bool = False, float_textures: bool = False,
+) -> RenderPlan:  # fmt: skip
     """Load a scene and place its sensors (see ``render_capture`` and ``load_scene``)."""
     require_variant()
     require_spp(spp)
@@ -196,6 +188,8 @@ def plan_render(
     label, own = str(path or "scene"), ()
     if path is not None:
         if known := capture_folder.read(path):
+            if known.imported:
+                raise SceneError(f"{label}: is imported; give a Mitsuba scene to render.")
             if known.scene is None:
                 raise SceneError(f"{label}: its {capture_folder.FILE} names no scene to render.")
             if known.flash is not None:

@@ -56,10 +56,7 @@ def unwrap(mesh: Any, label: str = "") -> Any:
             "it again."
         )
     normals = None if source.normals is None else source.normals[vmap]
-    return make_mesh(
-        mesh.id(),
-        MeshArrays(source.positions[vmap], faces, normals, uvs),
-    )
+    return make_mesh(mesh.id(), MeshArrays(source.positions[vmap], faces, normals, uvs))
 
 
 def _layout_of_large(

@@ -28,10 +28,14 @@ def is_seen_from_above(capture: Any) -> bool:
 def up_of_poses(poses: np.ndarray) -> np.ndarray:
     """Return the upward direction (3,) of poses (V, 4, 4), camera to world.
 
-    The mean upward direction, snapped to a world axis if close; +Y if the cameras have no common
-    direction, or without poses.
+    The mean upward direction, or the direction towards cameras that all look steeply down, snapped
+    to a world axis if close; +Y if the cameras have no common direction, or without poses.
     """
-    mean = poses[:, :3, 1].mean(axis=0) if len(poses) else np.zeros(3)
+    if not len(poses):
+        return np.array(UP)
+    mean = poses[:, :3, 1].mean(axis=0)
+    if np.linalg.norm(mean) < STEEP:
+        mean = -poses[:, :3, 2].mean(axis=0)
     length = np.linalg.norm(mean)
     if length < STEEP:
         return np.array(UP)

@@ -114,7 +114,7 @@ def _remedy(check: Check, capture: Capture) -> str:
         edits = [scene_edit(fix) for fix in find_fixes(names)]
         if scale != 1:
             edits.append(f'<scale value="{scale:.6g}"/> {PLACES["mesh"]}')
-        return f"{lead}Edit the scene: {', '.join(edits)}."
+        return f"{lead}Correct the scene: {', '.join(edits)}."
     return f"{lead}Import it again with: {reimport_command(capture, names, scale)}"
 
 

@@ -31,7 +31,7 @@ class Render(BaseCommand):
     seed: int = 0
     """Random seed, at least 0."""
     views: Count = None
-    """Number of sensors to place on a sphere around the object (default: the scene's sensors)."""
+    """Number of sensors to place on a sphere around the object (default: the existing sensors)."""
     resolution: Size = (512,)
     """Film size of --views sensors in pixels: one number, or width and height."""
     resume: bool = False

@@ -115,13 +115,9 @@ def draw_look(axes: Axes, look: ObjectView, colors: np.ndarray) -> None:
 
 
 def map_colors(
-    estimate: Estimate,
-    values: Any | None = None,
-    *,
-    limits: tuple[float, float] = (0, 1),
-    colormap: str | Colormap = style.COLORMAP,
-    gutter: float = GUTTER,
-) -> np.ndarray:
+    estimate: Estimate, values: Any | None = None, *, limits: tuple[float, float] = (0, 1),
+    colormap: str | Colormap = style.COLORMAP, gutter: float = GUTTER,
+) -> np.ndarray:  # fmt: skip
     """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
     Charts are dilated by ``gutter`` texels.

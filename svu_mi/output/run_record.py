@@ -130,8 +130,11 @@ def guidance_record(capture: Capture, estimate: Estimate, guidance: Guidance) ->
 
 
 def _prediction(estimate: Estimate) -> dict[str, Any]:
-    predicted = estimate.prediction
-    return {"prediction": predicted, "reliable": predicted and predicted.reliable}
+    predicted, plane = estimate.prediction, estimate.observed and estimate.observed.plane
+    return {
+        "prediction": predicted, "reliable": predicted and predicted.reliable,
+        "albedo_of_plane_below": plane,
+    }  # fmt: skip
 
 
 def _settings(estimate: Estimate) -> dict[str, Any]:

@@ -36,15 +36,10 @@ POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
 
 
 def write_guidance(
-    capture: Capture,
-    estimate: Estimate,
-    guidance: Guidance,
-    folder: str | os.PathLike[str],
-    run: RunInfo | None = None,
-    *,
-    up: tuple[float, float, float] | None = None,
+    capture: Capture, estimate: Estimate, guidance: Guidance, folder: str | os.PathLike[str],
+    run: RunInfo | None = None, *, up: tuple[float, float, float] | None = None,
     pictures: bool = True,
-) -> None:
+) -> None:  # fmt: skip
     """Write poses, maps and pictures of the proposals, ``guidance.json`` and ``run.json``.
 
     ``up`` is the top of the direction map (default: that of the cameras); ``pictures`` enables

@@ -95,9 +95,14 @@ class Estimate:
     def _plane_sentence(self) -> str:
         """Return a sentence about the plane on which the object stands, or ""."""
         albedo = self.observed and self.observed.plane
-        return "" if albedo is None else (
-            f" Instead of the light from below, a grey plane of albedo {albedo:g} is assumed; svu "
-            f"import --table 0 --table-albedo {albedo:g} adds the object's shadow."
+        if albedo is None:
+            return ""
+        assumed = f" Instead of the light from below, a grey plane of albedo {albedo:g} is assumed"
+        if self.prediction is None or self.prediction.cause != "surroundings":
+            return f"{assumed}."
+        return (
+            f"{assumed}; for the object's shadow, add a table to the scene, or import again with "
+            f"--table 0 --table-albedo {albedo:g}."
         )
 
     def image(self, name: str) -> np.ndarray:

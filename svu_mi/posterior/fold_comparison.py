@@ -32,7 +32,7 @@ from svu_mi.posterior.held_out_samples import Values, predict_samples
 from svu_mi.posterior.judge_prediction import judged
 from svu_mi.posterior.kept_results import pack_test, restore_test
 from svu_mi.posterior.posterior import Posterior
-from svu_mi.posterior.prediction import FoldTest
+from svu_mi.posterior.prediction import LEAST, FoldTest
 from svu_mi.posterior.residuals import Surroundings
 from svu_mi.presets import AngularPreset
 
@@ -92,10 +92,7 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
             return FoldTest(spread)
         alone = parts.without_clipped()  # lower bounds have no residual
         model = alone.model(
-            gathered_levels(inputs, switches),
-            switches,
-            plan.light_channels,
-            np.arange(len(texels)),
+            gathered_levels(inputs, switches), switches, plan.light_channels, np.arange(len(texels))
         )
         samples = predict_samples(
             alone, model, weighting_of(inputs.observed, switches),
@@ -104,7 +101,10 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         )  # fmt: skip
         prediction = judged(samples, Surroundings.of(inputs.observed, texels))
         if prediction is not None and observed.plane is not None:
-            prediction = replace(prediction, cause="surroundings")
+            # A wrong light may fit better with any plane, but does not fit well.
+            likely = prediction.r2 >= LEAST or not prediction.cause
+            cause = "surroundings" if likely else prediction.cause
+            prediction = replace(prediction, cause=cause)
         if prediction is not None and not prediction.reliable:
             spread = {name: UNRELIABLE * factor for name, factor in spread.items()}
         return FoldTest(spread, prediction)

@@ -15,6 +15,7 @@ import numpy as np
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.posterior.calibrated import noise_of_parts
 from svu_mi.posterior.estimators import EstimatorInputs, gather_sums, posterior_inputs, view_counts
+from svu_mi.posterior.folds import ENOUGH
 from svu_mi.posterior.kept_results import pack_share, restore_share
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.support_error import may_stand
@@ -28,8 +29,10 @@ LEAST, NEARLY = 0.02, 0.9  # gain of a plane that is kept; relative to the large
 def with_plane(inputs: EstimatorInputs, switches: AnyPreset) -> EstimatorInputs:
     """Return inputs with the plane that explains the photographs, if there is one."""
     observed = inputs.observed
-    tested = isinstance(switches, AngularPreset) and switches.folds and observed.plane is None
-    if not tested or switches.noise != "estimated" or not may_stand(observed.capture):
+    if not (isinstance(switches, AngularPreset) and switches.folds and observed.plane is None):
+        return inputs
+    enough = switches.noise == "estimated" and sum(observed.capture.used) >= ENOUGH
+    if not enough or not may_stand(observed.capture):
         return inputs
     with inputs.progress.stage("Testing light from below"):
         albedo = observed.cache.recall(

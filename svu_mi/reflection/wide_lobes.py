@@ -24,7 +24,7 @@ from svu_mi.reflection.lobes import Normals, blurred_ggx, dielectric_fresnel, sm
 NARROW = 0.03  # maximum alpha of narrow lobes; about the distance of leaf cells
 BENT = 0.1  # maximum alpha of lobes that are averaged over normals
 LARGE = 1.6  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
-ROOM = 1024  # most leaves in a list beyond one entry per fine cell; hardly a list needs 320
+ROOM = 1024  # largest number of leaves in a list; beyond, a fine cell stays whole
 
 Lobe = list[tuple[Any, Any, Any]]
 """(p, q, d) per channel: a metal of base colour c reflects c p + q, a dielectric d."""

@@ -90,6 +90,10 @@ def test_a_capture_is_rendered_with_a_view_added(tmp_path):
     (tmp_path / "shot" / "capture.json").write_text(json.dumps(record))
     with pytest.raises(SceneError, match="lamp on its camera"):
         render_capture(tmp_path / "shot")
+    record["import"] = {"format": "colmap"}
+    (tmp_path / "shot" / "capture.json").write_text(json.dumps(record))
+    with pytest.raises(SceneError, match="is imported; give a Mitsuba scene"):
+        render_capture(tmp_path / "shot")
 
 
 def test_renders_with_one_seed_are_equal_and_views_differ(tmp_path):

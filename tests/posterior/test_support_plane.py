@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import repeat
 
 import mitsuba as mi
@@ -10,7 +11,8 @@ import pytest
 from support.helpers import render_ball
 
 import svu_mi as svu
-from svu_mi.bench.spoiled_captures import on_table, photographed
+from svu_mi.bench.spoiled_captures import on_table, other_light, photographed
+from svu_mi.capture.scene import find_environment
 from svu_mi.light.above_plane import above_plane
 from svu_mi.light.environment import Environment
 from svu_mi.light.latlong import directions
@@ -79,3 +81,17 @@ def test_no_table_is_found_under_an_object_in_space(ball):
     for capture in (bare, ball):
         found = svu.estimate(capture, layout)
         assert found.observed.plane is None and found.prediction.cause != "surroundings"
+
+
+@pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
+def test_a_wrong_light_is_named_and_few_photographs_test_nothing(ball):
+    """Another light from below improves a wrong light, too, but predicts photographs badly."""
+    table = on_table(ball, (0.0, 0.0, 0.0), 1)
+    bare = photographed(table, repeat(ball.scene), 64, depth=2)
+    layout = svu.texels(ball.mesh, 24)
+    turned = other_light(bare, find_environment(ball.scene, "scene"), 45)
+    found = svu.estimate(turned, layout)
+    assert found.prediction.r2 < 0.6 and found.prediction.cause == "light"
+    assert "--table" not in found.prediction_sentence
+    few = replace(turned, used=tuple(k < 11 for k in range(turned.count)))
+    assert svu.estimate(few, layout).observed.plane is None

@@ -168,10 +168,7 @@ MASSES = (0.5, 0.9)
 
 def agreement(entropy: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     """Return Pearson's and Spearman's correlation of two entropies (n,)."""
-    return {
-        "pearson": pearson(entropy, reference),
-        "spearman": spearman(entropy, reference),
-    }
+    return {"pearson": pearson(entropy, reference), "spearman": spearman(entropy, reference)}
 
 
 def score_posterior(

@@ -100,14 +100,10 @@ def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
 
 
 def with_resolved_light(
-    capture: Capture,
-    given: Path | None = None,
-    *,
-    elsewhere: Path | None = None,
-    gains: bool | None = False,
-    known: Mapping[str, float] | None = None,
+    capture: Capture, given: Path | None = None, *, elsewhere: Path | None = None,
+    gains: bool | None = False, known: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-) -> Capture:
+) -> Capture:  # fmt: skip
     """Return the capture with a light: the given one, its own, or an estimate.
 
     Args:
@@ -143,13 +139,9 @@ def photo_gains(
 
 
 def _resolved(
-    capture: Capture,
-    given: Path | None,
-    elsewhere: Path | None,
-    gains: bool | None,
-    progress: Progress,
-    known: Mapping[str, float] | None = None,
-) -> tuple[Capture, FoundGains | None]:
+    capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool | None,
+    progress: Progress, known: Mapping[str, float] | None = None,
+) -> tuple[Capture, FoundGains | None]:  # fmt: skip
     """Return the capture with a light, and gains if available or requested."""
     lit, factors = capture, None
     if given is not None:

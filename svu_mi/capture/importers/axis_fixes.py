@@ -80,7 +80,7 @@ FIXES = {fix.name: fix for fix in (
 
 
 PLACES = {
-    "camera": "as the first element in to_world of each sensor",
+    "camera": "as the first element in to_world of each sensor (in capture.json: from the right)",
     "light": "as the first element in to_world of the emitter",
     "mesh": "as the last element in to_world of the shape",
 }

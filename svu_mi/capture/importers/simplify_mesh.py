@@ -27,5 +27,5 @@ def simplify(mesh: MeshArrays, count: int, label: str) -> tuple[MeshArrays, list
     small, _ = repair_normals(small, label)
     return small, [
         f"{label}: simplified from {len(mesh.faces)} to {len(faces)} faces; at a fifth of the "
-        "faces, roughness loses 1.3 to 1.6 dB.",
+        "faces, roughness loses 1.3 to 1.6 dB."
     ]

@@ -117,11 +117,7 @@ def marginal_plots(estimate: Any, result: EstimateArrays) -> Iterator[tuple[str,
 
 
 def example_texels(
-    table: Turntable,
-    estimate: Any,
-    result: EstimateArrays,
-    mass: float,
-    frames: list[PageImage],
+    table: Turntable, estimate: Any, result: EstimateArrays, mass: float, frames: list[PageImage]
 ) -> Iterator[dict[str, Any]]:
     """Yield seen texels of low, median and high entropy with their marginals, from several sides.
 
