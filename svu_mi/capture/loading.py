@@ -43,19 +43,11 @@ Value = TypeVar("Value")
 
 
 def load_capture(
-    path: str | Path,
-    images: str | Path | None = None,
-    *,
-    shape: str | None = None,
-    defines: Mapping[str, str] | None = None,
-    unwrap: bool = False,
-    missing: Missing = "refuse",
-    light: Light = "required",
-    trust: bool = False,
-    detail: Detail = WHOLE,
-    memory: float | None = None,
-    views: Iterable[int] | None = None,
-) -> Capture:
+    path: str | Path, images: str | Path | None = None, *, shape: str | None = None,
+    defines: Mapping[str, str] | None = None, unwrap: bool = False, missing: Missing = "refuse",
+    light: Light = "required", trust: bool = False, detail: Detail = WHOLE,
+    memory: float | None = None, views: Iterable[int] | None = None,
+) -> Capture:  # fmt: skip
     """Load a scene and its photographs.
 
     Photographs are named ``view_0000.exr``, ... in the order of the sensors, or after the ids of

@@ -44,20 +44,11 @@ KEY = 16  # hexadecimal digits of the id of a run
 
 
 def render_capture(
-    scene: Any,
-    spp: int = 64,
-    seed: int = 0,
-    *,
-    folder: str | os.PathLike[str] | None = None,
-    shape: str | None = None,
-    views: int | None = None,
-    resolution: tuple[int, int] = (512, 512),
-    defines: Mapping[str, str] | None = None,
-    unwrap: bool = False,
-    trust: bool = False,
-    progress: Callable[[int, int], None] | None = None,
-    resume: bool | None = None,
-) -> Capture:
+    scene: Any, spp: int = 64, seed: int = 0, *, folder: str | os.PathLike[str] | None = None,
+    shape: str | None = None, views: int | None = None, resolution: tuple[int, int] = (512, 512),
+    defines: Mapping[str, str] | None = None, unwrap: bool = False, trust: bool = False,
+    progress: Callable[[int, int], None] | None = None, resume: bool | None = None,
+) -> Capture:  # fmt: skip
     """Render one photograph per sensor and return them as a capture.
 
     Args:

@@ -231,6 +231,8 @@ def _label_directions(axes: Axes, up: np.ndarray) -> None:
     ahead, right = (nearest_axis(direction) for direction in horizon(up))
     azimuths = (f"0° {ahead}", f"90° {right}", "180°", "270°", "360°")
     axes.set_xticks(np.linspace(0, 1, 5), azimuths)
+    for label, side in zip(axes.get_xticklabels()[::4], ("left", "right"), strict=True):
+        label.set_horizontalalignment(side)
     axes.set_yticks((0, 0.25, 0.5), ("down", "0°", "up"))
     axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
     axes.axhline(0.25, color="white", linewidth=0.8, linestyle=":")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import drjit as dr
@@ -24,7 +25,13 @@ from svu_mi.calibration.poses.refine_poses import outline_note
 from svu_mi.calibration.poses.texture_errors import SWITCHES, gradient_samples, texture_equations
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.sensors import bounding_sphere, projected, sphere_sensors
+from svu_mi.capture.sensors import (
+    bounding_sphere,
+    changed_sensor,
+    describe,
+    projected,
+    sphere_sensors,
+)
 
 
 @pytest.fixture(scope="module")
@@ -179,14 +186,28 @@ def test_textures_alone_bring_a_camera_back(sound):
 
 @pytest.mark.slow
 def test_check_notes_cameras_that_are_off(sound):
-    assert outline_note(sound) is None
-    assert outline_note(replace(sound, masks=(None,) * 16)) is None
-    note = outline_note(shaken(sound, 0.4))
-    assert "Try svu refine" in note
+    assert outline_note(sound) == ("note", None)
+    assert outline_note(replace(sound, masks=(None,) * 16)) == ("note", None)
+    verdict, note = outline_note(shaken(sound, 0.4))
+    assert verdict == "note" and "Try svu refine" in note
     pixels = float(note.partition(" pixels")[0].split()[-1])
     assert pixels == pytest.approx(off(shaken(sound, 0.4), sound), rel=0.2)
     findings = [one for one in svu.check(shaken(sound, 0.4)).findings if one.question == "cameras"]
     assert [one.sentence for one in findings] == [note]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "size"), [(1.06, "smaller"), (0.94, "larger")])
+def test_check_names_a_wrong_focal_length(sound, factor, size):
+    """Cameras would all have to move the same way."""
+    wrong = [2 * np.degrees(np.arctan(np.tan(np.radians(describe(one)["x_fov"] / 2)) / factor))
+             for one in sound.sensors]  # fmt: skip
+    sensors = tuple(changed_sensor(one, x_fov=fov) for one, fov in zip(
+        sound.sensors, wrong, strict=True))  # fmt: skip
+    verdict, note = outline_note(replace(sound, sensors=sensors))
+    found = re.search(r"object ([\d.]+)% (\w+) than the mesh: check the focal length", note)
+    assert verdict == "unclear" and found[2] == size
+    assert float(found[1]) == pytest.approx(6, abs=2.5)
 
 
 @pytest.mark.slow

@@ -111,7 +111,7 @@ def check(
     if axial[1].verdict == "fits" and is_alone and is_seen_from_above(capture):
         with progress.stage("Testing light from below"):
             sources = _missing(small, exposure_checks.unit_of(capture, small)) or sources
-    cameras = () if _axes_are_off(axial) else _findings("cameras", "note", outline_note(capture))
+    cameras = () if _axes_are_off(axial) else _findings("cameras", *outline_note(capture))
     few = None if is_lit(capture) else too_few_for_light(sum(capture.used))
     number = _findings("number", "unclear", few)
     findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))

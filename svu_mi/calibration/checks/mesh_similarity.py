@@ -9,6 +9,7 @@ import numpy as np
 from svu_mi.calibration.checks.axis_hypotheses import with_changed_mesh
 from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.mesh_scale import FACTORS
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import changed_sensor, focal_length, principal_point
 
@@ -18,6 +19,7 @@ PARALLEL = 1e6  # condition number of an intersection of parallel rays
 FAR = 4.0  # usual distance of cameras, in diagonals of the mesh
 FEWEST = 3  # masks needed
 SAME_SIZE = 0.15  # log scale that is not reported
+SAME_UNIT = 0.05  # log difference of a scale from a quotient of units
 STEPS = 3  # corrections of the scale
 
 
@@ -44,9 +46,12 @@ class MeshSimilarity(NamedTuple):
         """Description of a different size; empty if the size is about the same."""
         if abs(np.log(self.scale)) < SAME_SIZE:
             return ""
+        factor = min(FACTORS, key=lambda ratio: abs(np.log(self.scale / ratio)))
+        is_unit = abs(np.log(self.scale / factor)) < SAME_UNIT
+        unit = f"have another unit (--mesh-scale {factor:.4g}), or " if is_unit else ""
         return (
             f" The masks show an object about {self.scale:.2g} times as large as the mesh, which "
-            "may be in another world than the poses, such as nerfstudio's normalised world "
+            f"may {unit}be in another world than the poses, such as nerfstudio's normalised world "
             "(dataparser_transforms.json)."
         )
 

@@ -14,8 +14,9 @@ from svu_mi.light.latlong import directions
 
 ROWS, COLUMNS = 129, 256  # size of maps
 UNANCHORED = (
-    "The brightness of the light is not determined, since little of the surface is dielectric, and "
-    "brighter light on darker metal looks the same; set it with --grey-card or --mean-albedo."
+    "The brightness of the light is not determined, since little of the surface seems to be "
+    "dielectric, and brighter light on darker metal looks the same; set it with --grey-card or "
+    "--mean-albedo. If much is dielectric, exposures, poses or mesh do not fit: run svu check."
 )
 ALIKE = 0.05  # log gains up to this are equal
 # Standard deviation of log gains from which they differ, if the light is estimated, too. Equal

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -29,6 +30,7 @@ STEPS, LAST = 4, 8  # steps of the EM algorithm in a round, and in the last one
 POINTS = 1000  # vertices whose motion in pixels is measured
 FEWEST = 3  # cameras
 UNCERTAIN = 0.003  # differences of R^2 that say nothing
+COMMON = 0.015  # mean log distance by which all cameras move if the object has another size
 NOTED, CLOSER = 0.3, 0.9  # least motion [pixels] and largest ratio of distances of a note
 
 
@@ -119,16 +121,23 @@ def _r2(capture: Capture) -> float:
     return np.nan if found is None else found.r2
 
 
-def outline_note(capture: Capture) -> str | None:
+def outline_note(capture: Capture) -> tuple[Literal["note", "unclear"], str | None]:
     """Return a sentence if outlines show that cameras are off; None if not, or without masks."""
     rounds = [one for one in _rounds(capture) if one is None]
     if not rounds or len(capture.used_sensors) < FEWEST:
-        return None
+        return "note", None
     refined = _refined(capture, rounds, lambda *_: None)
     before, after = refined.outlines
     if refined.pixels < NOTED or after > CLOSER * before:
-        return None
-    return (
+        return "note", None
+    farther = np.log(camera_distances(refined.capture) / camera_distances(capture))
+    if abs(mean := farther.mean()) > max(COMMON, 2 * farther.std()):
+        return "unclear", (
+            f"All photographs show the object {abs(np.expm1(-mean)):.1%} "
+            f"{'smaller' if mean > 0 else 'larger'} than the mesh: check the focal length and the "
+            "size of the mesh."
+        )
+    return "note", (
         f"Cameras seem to be off by {refined.pixels:.2g} pixels: outlines of masks and mesh are "
         f"{before:.2g} pixels apart, and {after:.2g} with moved cameras. Try svu refine."
     )

@@ -42,15 +42,10 @@ WARNINGS = 12  # number shown before "more"
 
 
 def write_report(
-    capture: Capture,
-    estimate: Estimate,
-    path: str | Path,
-    *,
-    textures: Textures | None = None,
-    title: str | None = None,
-    settings: Mapping[str, Any] | None = None,
+    capture: Capture, estimate: Estimate, path: str | Path, *, textures: Textures | None = None,
+    title: str | None = None, settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> IntervalSummary:
+) -> IntervalSummary:  # fmt: skip
     """Write an estimate as one self-contained HTML page.
 
     The page opens in any browser without a network. Of many photographs, an evenly spaced
