@@ -101,17 +101,10 @@ def load_capture(
 
 
 def plan_capture(
-    path: str | Path,
-    images: str | Path | None = None,
-    *,
-    shape: str | None = None,
-    defines: Mapping[str, str] | None = None,
-    trust: bool = False,
-    missing: Missing = "refuse",
-    light: Light = "required",
-    float_textures: bool = False,
-    **reading: Any,
-) -> CapturePlan:
+    path: str | Path, images: str | Path | None = None, *, shape: str | None = None,
+    defines: Mapping[str, str] | None = None, trust: bool = False, missing: Missing = "refuse",
+    light: Light = "required", float_textures: bool = False, **reading: Any,
+) -> CapturePlan:  # fmt: skip
     """Load a scene, match photographs with sensors, and read their headers.
 
     Arguments and errors: see ``load_capture``, and ``load_scene`` for ``float_textures``.
@@ -264,17 +257,10 @@ class CapturePlan:
 
 
 def plan_photographs(
-    scene: Any,
-    sensors: Sequence[Any],
-    folder: Path,
-    description: Description,
-    *,
-    unwrap: bool = False,
-    missing: Missing = "refuse",
-    light: Light = "required",
-    detail: Detail = WHOLE,
-    views: Iterable[int] | None = None,
-) -> CapturePlan:
+    scene: Any, sensors: Sequence[Any], folder: Path, description: Description, *,
+    unwrap: bool = False, missing: Missing = "refuse", light: Light = "required",
+    detail: Detail = WHOLE, views: Iterable[int] | None = None,
+) -> CapturePlan:  # fmt: skip
     """Match photographs with sensors of a loaded scene (``plan_capture``)."""
     label = str(description.scene or folder)
     environment = _light(scene, description, light, folder)

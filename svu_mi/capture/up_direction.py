@@ -8,7 +8,8 @@ from svu_mi.capture.scene import to_world
 
 UP = (0.0, 1.0, 0.0)
 STEEP = 0.3  # shortest mean upward vector of the cameras that defines a direction
-NEAR_AXIS = 0.9  # cosine above which a direction is snapped to an axis
+NEAR_AXIS, LEVEL = 0.9, 0.996  # cosines above which a mean and a vertical are snapped to an axis
+ROLLED, APART = 0.02, 0.1  # largest mean square of sines of rolls; least one of other directions
 
 
 def up_direction(capture: Any) -> np.ndarray:
@@ -28,18 +29,24 @@ def is_seen_from_above(capture: Any) -> bool:
 def up_of_poses(poses: np.ndarray) -> np.ndarray:
     """Return the upward direction (3,) of poses (V, 4, 4), camera to world.
 
-    The mean upward direction, or the direction towards cameras that all look steeply down, snapped
-    to a world axis if close; +Y if the cameras have no common direction, or without poses.
+    The direction perpendicular to the horizontal axes of cameras that are not rolled and look in
+    several directions; else the mean upward direction of the cameras. It is snapped to a world axis
+    if close; +Y if the cameras have no common direction, or without poses.
     """
     if not len(poses):
         return np.array(UP)
-    mean = poses[:, :3, 1].mean(axis=0)
-    if np.linalg.norm(mean) < STEEP:
-        mean = -poses[:, :3, 2].mean(axis=0)
+    right, up, ahead = (poses[:, :3, k] for k in range(3))
+    mean, near = up.mean(axis=0), NEAR_AXIS
+    if np.linalg.norm(mean) < STEEP:  # all look steeply down, if anywhere
+        mean = -ahead.mean(axis=0)
+    rolled, apart = np.linalg.eigvalsh(right.T @ right / len(right))[:2]
+    if rolled < ROLLED and apart > APART:
+        level = np.linalg.eigh(right.T @ right)[1][:, 0]
+        mean, near = level * (level @ mean), LEVEL
     length = np.linalg.norm(mean)
     if length < STEEP:
         return np.array(UP)
     axis = np.zeros(3)
     largest = int(np.argmax(np.abs(mean)))
     axis[largest] = np.sign(mean[largest])
-    return axis if mean @ axis > NEAR_AXIS * length else mean / length
+    return axis if mean @ axis > near * length else mean / length

@@ -51,16 +51,11 @@ GREY_PLASTIC = dict.fromkeys(NAMES, 0.0) | {"base_color": 0.2, "roughness": 0.25
 
 
 def write_light(
-    capture: Capture,
-    estimate: LightEstimate,
-    folder: str | os.PathLike[str],
-    run: RunInfo | None = None,
-    *,
-    used: Mapping[str, Any] | None = None,
-    against: LightComparison | None = None,
-    timings: Mapping[str, float] | None = None,
+    capture: Capture, estimate: LightEstimate, folder: str | os.PathLike[str],
+    run: RunInfo | None = None, *, used: Mapping[str, Any] | None = None,
+    against: LightComparison | None = None, timings: Mapping[str, float] | None = None,
     pictures: bool = True,
-) -> None:
+) -> None:  # fmt: skip
     """Write ``light.exr``, ``light.npz``, ``light.png`` and ``light.json``.
 
     ``used`` contains the options of the estimate, ``against`` compares it with the capture's own

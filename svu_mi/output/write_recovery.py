@@ -44,16 +44,10 @@ class DrawOptions:
 
 
 def write_recovery(
-    capture: Capture,
-    recovery: Recovery,
-    folder: str | os.PathLike[str],
-    run: RunInfo | None = None,
-    *,
-    estimate: Estimate | None = None,
-    field: TextureField | None = None,
-    draws: DrawOptions | None = None,
-    pictures: bool = True,
-) -> None:
+    capture: Capture, recovery: Recovery, folder: str | os.PathLike[str],
+    run: RunInfo | None = None, *, estimate: Estimate | None = None,
+    field: TextureField | None = None, draws: DrawOptions | None = None, pictures: bool = True,
+) -> None:  # fmt: skip
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
     Args:

@@ -38,16 +38,10 @@ FEWEST_DRAWS = 2  # for a standard deviation
 
 
 def relight(
-    capture: Capture,
-    textures: Textures | None,
-    environment: Any | None = None,
-    sensors: Sequence[Any] | None = None,
-    spp: int = 64,
-    *,
-    seed: int = 0,
-    max_depth: int | None = None,
-    pixels: Sequence[np.ndarray] | None = None,
-) -> list[np.ndarray]:
+    capture: Capture, textures: Textures | None, environment: Any | None = None,
+    sensors: Sequence[Any] | None = None, spp: int = 64, *, seed: int = 0,
+    max_depth: int | None = None, pixels: Sequence[np.ndarray] | None = None,
+) -> list[np.ndarray]:  # fmt: skip
     """Path-trace the object with given textures.
 
     Args:

@@ -702,6 +702,20 @@ def test_lamps_are_listed_and_not_tested(capture):
             assert "from lamp `bulb`" in said["sources"].sentence
 
 
+def test_exchanged_photographs_are_named(capture):
+    order = list(range(capture.count))
+    order[2], order[5] = 5, 2
+    changed = replace(
+        capture, images=tuple(capture.images[k] for k in order), buffer=None,
+        masks=tuple(capture.masks[k] for k in order),
+    )  # fmt: skip
+    finding = next(one for one in svu.check(changed).findings if one.question == "cameras")
+    named = f"with that of {capture.names[2]} by"
+    assert finding.verdict == "unclear" and named in finding.sentence
+    assert "2 such photographs" in finding.sentence
+    assert all(one.question != "cameras" for one in svu.check(capture).findings)
+
+
 def test_inverted_masks_are_named(capture):
     turned = tuple(None if mask is None else ~mask for mask in capture.masks)
     result = svu.check(replace(capture, masks=turned))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 
 import drjit as dr
@@ -205,9 +204,7 @@ def test_check_names_a_wrong_focal_length(sound, factor, size):
     sensors = tuple(changed_sensor(one, x_fov=fov) for one, fov in zip(
         sound.sensors, wrong, strict=True))  # fmt: skip
     verdict, note = outline_note(replace(sound, sensors=sensors))
-    found = re.search(r"object ([\d.]+)% (\w+) than the mesh: check the focal length", note)
-    assert verdict == "unclear" and found[2] == size
-    assert float(found[1]) == pytest.approx(6, abs=2.5)
+    assert verdict == "unclear" and f"{size} than the mesh: check the focal length" in note
 
 
 @pytest.mark.slow

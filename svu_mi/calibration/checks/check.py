@@ -11,7 +11,14 @@ import numpy as np
 
 from svu_mi.calibration.checks import decisions, exposure_checks
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes
-from svu_mi.calibration.checks.check_result import Check, Finding, Question, Verdict, ViewMeans
+from svu_mi.calibration.checks.check_result import (
+    Check,
+    Finding,
+    Question,
+    Verdict,
+    ViewCheck,
+    ViewMeans,
+)
 from svu_mi.calibration.checks.envmap_orientation import normal_dependence, score_light
 from svu_mi.calibration.checks.light_sources import light_shares, sentence
 from svu_mi.calibration.checks.mesh_similarity import MeshSimilarity, fit_masks
@@ -52,7 +59,7 @@ from svu_mi.capture.replace_material import is_same, other_shapes
 from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
 from svu_mi.capture.up_direction import is_seen_from_above
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError, SvuError
+from svu_mi.errors import OptionError, SvuError, counted
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
 from svu_mi.pipeline import estimate
@@ -60,6 +67,7 @@ from svu_mi.pipeline import estimate
 SIDE = 128  # maximum side of the compared photographs in pixels
 TEXELS = 48  # texels per side to test light from below
 VIEWS = 40  # maximum number of views for comparing colours
+UNLIKE = 0.15  # least difference of overlap from the median of a photograph that is named
 INSIDE = 0.8  # overlap of mesh and inverted masks, from which the masks are inverted
 INVERTED = (
     "The masks show the background: inverted, they overlap the mesh. Invert them (white is the "
@@ -114,15 +122,29 @@ def check(
     cameras = () if _axes_are_off(axial) else _findings("cameras", *outline_note(capture))
     few = None if is_lit(capture) else too_few_for_light(sum(capture.used))
     number = _findings("number", "unclear", few)
-    findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
-    names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
+        if not _axes_are_off(axial):
+            cameras = _unlike(views) or cameras
+        findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
+        names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
         if names or scale != 1:
             corrected = check_views(apply_fixes(scaled, find_fixes(names), axes))
     return Check(
         views=views, corrected=corrected, findings=findings, camera_axes=axes, mesh_scale=scale
     )
+
+
+def _unlike(views: tuple[ViewCheck, ...]) -> tuple[Finding, ...]:
+    """Return a finding if single silhouettes overlap with the masks much less than the others."""
+    known = {view.name: view.overlap for view in views if view.overlap is not None}
+    usual = float(np.median(list(known.values()) or [0.0]))
+    odd = [name for name, overlap in known.items() if overlap < usual - UNLIKE]
+    return _findings("cameras", "unclear", None if not odd else (
+        f"The mesh overlaps with the masks by {usual:.2f}, but with that of {odd[0]} by "
+        f"{known[odd[0]]:.2f} ({counted(len(odd), 'such photograph')}): check whether photograph, "
+        "mask and pose belong together."
+    ))  # fmt: skip
 
 
 def _find_mistakes(

@@ -133,9 +133,8 @@ def outline_note(capture: Capture) -> tuple[Literal["note", "unclear"], str | No
     farther = np.log(camera_distances(refined.capture) / camera_distances(capture))
     if abs(mean := farther.mean()) > max(COMMON, 2 * farther.std()):
         return "unclear", (
-            f"All photographs show the object {abs(np.expm1(-mean)):.1%} "
-            f"{'smaller' if mean > 0 else 'larger'} than the mesh: check the focal length and the "
-            "size of the mesh."
+            f"All photographs show the object {'smaller' if mean > 0 else 'larger'} than the mesh: "
+            "check the focal length and the size of the mesh."
         )
     return "note", (
         f"Cameras seem to be off by {refined.pixels:.2g} pixels: outlines of masks and mesh are "
