@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 NeedFunc = Callable[[Sizes], Need]
 
 
+WIDENED = 1.5  # factor of error bars from which it is printed
+
+
 @dataclass(frozen=True, kw_only=True)
 class CaptureCommand(BaseCommand):
     """Options of every command that loads a capture."""
@@ -170,6 +173,12 @@ class EstimateCommand(LitCommand):
 
 def print_prediction(progress: Progress, estimate: Estimate) -> None:
     """Print how well held-out photographs are predicted, as a warning if results are unreliable."""
+    widened = max(estimate.posterior.kernel.spread.values(), default=1.0)
+    if widened > WIDENED:
+        progress.say(
+            f"Error bars are widened up to {widened:.2g} times, because groups of photographs "
+            "disagree; more photographs may gain more than svu guide expects."
+        )
     predicted, sentence = estimate.prediction, estimate.prediction_sentence
     if predicted is None or sentence is None:
         return

@@ -135,17 +135,10 @@ class RelitView:
 
 
 def relight_draws(
-    capture: Capture,
-    textures: Textures,
-    draws: Iterable[Textures],
-    environment: Any | None = None,
-    sensors: Sequence[Any] | None = None,
-    spp: int = 16,
-    *,
-    seed: int = 0,
-    max_depth: int | None = None,
-    progress: Callable[[int], None] = lambda _: None,
-) -> list[RelitView]:
+    capture: Capture, textures: Textures, draws: Iterable[Textures],
+    environment: Any | None = None, sensors: Sequence[Any] | None = None, spp: int = 16, *,
+    seed: int = 0, max_depth: int | None = None, progress: Callable[[int], None] = lambda _: None,
+) -> list[RelitView]:  # fmt: skip
     """Path-trace the object with its textures and with draws from their distribution.
 
     All draws use the same random numbers, so the standard deviation contains no Monte Carlo noise.

@@ -51,7 +51,8 @@ class FoundGains:
     @property
     def vary(self) -> bool:
         """True if their spread exceeds the error of an estimate without a known light."""
-        return float(self.logarithm.std()) > UNCERTAIN
+        kept = self.logarithm[~self.odd]
+        return len(kept) > 0 and float(kept.std()) > UNCERTAIN
 
     @property
     def differ(self) -> bool:
