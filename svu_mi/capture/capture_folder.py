@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from svu_mi.capture.capture import Capture, Flash
 from svu_mi.capture.scene import check_sensor, find_sensors, to_world
@@ -61,6 +61,13 @@ class Description:
     imported: Mapping[str, Any] = field(default_factory=dict)
     rendered: Mapping[str, Any] = field(default_factory=dict)
     run: str = ""
+
+    def overridden(self, shape: str | None, defines: Mapping[str, str] | None) -> Self:
+        """Return a copy in which arguments replace target and values of ``capture.json``."""
+        return replace(
+            self, shape=self.shape if shape is None else shape,
+            defines={**self.defines, **(defines or {})},
+        )  # fmt: skip
 
     @property
     def photographs(self) -> list[str]:

@@ -124,10 +124,7 @@ def plan_capture(
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     xml, remembered = _described(path, folder)
-    description = dataclasses.replace(  # arguments override capture.json
-        remembered, scene=xml, shape=remembered.shape if shape is None else shape,
-        defines={**remembered.defines, **(defines or {})},
-    )  # fmt: skip
+    description = dataclasses.replace(remembered.overridden(shape, defines), scene=xml)
     try:
         scene = load_scene(xml, description.defines, trust=trust, float_textures=float_textures)
     except SceneError as error:

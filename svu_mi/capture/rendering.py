@@ -186,7 +186,8 @@ def plan_render(
             if known.flash is not None:
                 raise SceneError(f"{label}: the lamp on its camera cannot be rendered.")
             own, path = known.make_sensors(path), known.scene
-            defines, shape = {**known.defines, **(defines or {})}, shape or known.shape
+            known = known.overridden(shape, defines)
+            shape, defines = known.shape, known.defines
         scene = load_scene(path, defines, trust=trust, float_textures=float_textures)
     needs_light = getattr(scene.integrator(), "needs_light", True)
     light = find_light(scene, label) if needs_light or scene.emitters() else None

@@ -39,10 +39,9 @@ def up_of_poses(poses: np.ndarray) -> np.ndarray:
     mean, near = up.mean(axis=0), NEAR_AXIS
     if np.linalg.norm(mean) < STEEP:  # all look steeply down, if anywhere
         mean = -ahead.mean(axis=0)
-    rolled, apart = np.linalg.eigvalsh(right.T @ right / len(right))[:2]
+    (rolled, apart, _), axes = np.linalg.eigh(right.T @ right / len(right))
     if rolled < ROLLED and apart > APART:
-        level = np.linalg.eigh(right.T @ right)[1][:, 0]
-        mean, near = level * (level @ mean), LEVEL
+        mean, near = axes[:, 0] * (axes[:, 0] @ mean), LEVEL
     length = np.linalg.norm(mean)
     if length < STEEP:
         return np.array(UP)

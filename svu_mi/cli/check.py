@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -100,22 +101,25 @@ def _print(console: Console, result: Check, capture: Capture) -> None:
 
 def _remedy(check: Check, capture: Capture) -> str:
     """Return the command or the edit that corrects the capture; empty if there is none."""
+    if check.fixes or check.mesh_scale != 1:
+        correction = _correction(capture, check.fixes, check.mesh_scale)
+        return correction[0].upper() + correction[1:]
+    undecided = [one.fixes for one in check.findings if one.verdict == "unclear" and one.fixes]
+    return f"To try a correction, {_correction(capture, undecided[0])}" if undecided else ""
+
+
+def _correction(capture: Capture, names: Sequence[str], scale: float = 1.0) -> str:
+    """Return the command or the edit that makes the named corrections, and scales the mesh."""
     from svu_mi.capture import capture_folder
     from svu_mi.capture.importers.axis_fixes import PLACES, find_fixes, scene_edit
 
-    names, scale, lead = check.fixes, check.mesh_scale, ""
-    if not names and scale == 1:
-        undecided = [one.fixes for one in check.findings if one.verdict == "unclear" and one.fixes]
-        if not undecided:
-            return ""
-        names, lead = undecided[0], "To try a correction: "
     folder = None if capture.source is None else capture_folder.read(capture.source)
-    if folder is None or not folder.imported:
-        edits = [scene_edit(fix) for fix in find_fixes(names)]
-        if scale != 1:
-            edits.append(f'<scale value="{scale:.6g}"/> {PLACES["mesh"]}')
-        return f"{lead}Correct the scene: {', '.join(edits)}."
-    return f"{lead}Import it again with: {reimport_command(capture, names, scale)}"
+    if folder is not None and folder.imported:
+        return f"import it again with: {reimport_command(capture, names, scale)}"
+    edits = [scene_edit(fix) for fix in find_fixes(names)]
+    if scale != 1:
+        edits.append(f'<scale value="{scale:.6g}"/> {PLACES["mesh"]}')
+    return f"correct the scene: {', '.join(edits)}."
 
 
 def _view_table(result: Check) -> Any:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 NeedFunc = Callable[[Sizes], Need]
 
-
 WIDENED = 1.5  # factor of error bars from which it is printed
 
 
@@ -172,7 +171,7 @@ class EstimateCommand(LitCommand):
 
 
 def print_prediction(progress: Progress, estimate: Estimate) -> None:
-    """Print how well held-out photographs are predicted, as a warning if results are unreliable."""
+    """Print the widening of error bars, and the prediction (a warning if it is unreliable)."""
     widened = max(estimate.posterior.kernel.spread.values(), default=1.0)
     if widened > WIDENED:
         progress.say(

@@ -43,10 +43,7 @@ from svu_mi.errors import OptionError, SvuError, excerpt, printable
 GROUPS: dict[str, dict[str, Any]] = {
     "start": {"demo": Demo, "scenes": Scenes, "doctor": Doctor},
     "capture": {
-        "render": Render,
-        "import": Import,
-        "check": CheckCapture,
-        "refine": Refine,
+        "render": Render, "import": Import, "check": CheckCapture, "refine": Refine,
         "light": FindLight,
     },
     "uncertainty": {"entropy": Entropy, "guide": Guide},

@@ -86,19 +86,19 @@ class Estimate:
             return None
         capture = None if self.observed is None else self.observed.capture
         if capture is None or capture.found_light is None:
-            return self.prediction.sentence() + self._plane_sentence()
+            return self.prediction.sentence() + self._plane_sentence(self.prediction.cause)
         others = ""
         if other_shapes(capture.scene, capture.shape):
             others = ", as if the object were alone: give the light, or leave other shapes out"
         return f"{self.prediction.sentence()} The light was estimated from all photographs{others}."
 
-    def _plane_sentence(self) -> str:
-        """Return a sentence about the plane on which the object stands, or ""."""
+    def _plane_sentence(self, cause: str) -> str:
+        """Return a sentence about the plane below the object, or ""; ``cause``: of errors."""
         albedo = self.observed and self.observed.plane
         if albedo is None:
             return ""
         assumed = f" Instead of the light from below, a grey plane of albedo {albedo:g} is assumed"
-        if self.prediction is None or self.prediction.cause != "surroundings":
+        if cause != "surroundings":
             return f"{assumed}."
         return (
             f"{assumed}; for the object's shadow, add a table to the scene, or import again with "

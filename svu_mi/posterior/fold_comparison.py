@@ -100,11 +100,12 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
             *_without_folds(posterior, spread, moments, shape),
         )  # fmt: skip
         prediction = judged(samples, Surroundings.of(inputs.observed, texels))
-        if prediction is not None and observed.plane is not None:
+        if (
+            prediction is not None and observed.plane is not None
             # A wrong light may fit better with any plane, but does not fit well.
-            likely = prediction.r2 >= LEAST or not prediction.cause
-            cause = "surroundings" if likely else prediction.cause
-            prediction = replace(prediction, cause=cause)
+            and (prediction.r2 >= LEAST or not prediction.cause)
+        ):  # fmt: skip
+            prediction = replace(prediction, cause="surroundings")
         if prediction is not None and not prediction.reliable:
             spread = {name: UNRELIABLE * factor for name, factor in spread.items()}
         return FoldTest(spread, prediction)

@@ -108,24 +108,23 @@ def check(
     with progress.stage("Reducing photographs"):
         small = reduce_photographs(capture, SIDE)
     scaled, scale, axial, axes = _find_mistakes(capture, small, progress)
-    if gains is None or _axes_are_off(axial):
+    off = _axes_are_off(axial)
+    if gains is None or off:
         with progress.stage("Comparing gains"):
             gain = compare_gains(capture, small, axial)
     else:
         gain = _gain_finding(capture, small, gains)
-    over = () if _axes_are_off(axial) else _saturated(capture, small)
-    sources = () if _axes_are_off(axial) else _sources(capture, small)
+    over = () if off else _saturated(capture, small)
+    sources = () if off else _sources(capture, small)
     is_alone = not other_shapes(capture.scene, capture.shape)
     if axial[1].verdict == "fits" and is_alone and is_seen_from_above(capture):
         with progress.stage("Testing light from below"):
             sources = _missing(small, exposure_checks.unit_of(capture, small)) or sources
-    cameras = () if _axes_are_off(axial) else _findings("cameras", *outline_note(capture))
     few = None if is_lit(capture) else too_few_for_light(sum(capture.used))
     number = _findings("number", "unclear", few)
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
-        if not _axes_are_off(axial):
-            cameras = _unlike(views) or cameras
+        cameras = () if off else _unlike(views) or _findings("cameras", *outline_note(capture))
         findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
         names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
         if names or scale != 1:
