@@ -22,10 +22,8 @@ from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
 from svu_mi.core.validation import require_views
 from svu_mi.errors import OptionError
-from svu_mi.guidance.guidance_options import GuidanceOptions
+from svu_mi.guidance.guidance_options import GuidanceOptions, require_method, require_prediction
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.presets import AngularPreset, Preset
-from svu_mi.presets import preset as find_preset
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
@@ -148,7 +146,8 @@ class Guide(EstimateCommand):
         super().check()
         opt.require_range("--add", self.add, 1)
         self._check_sphere()
-        self._check_method()
+        require_method(self.guidance, self.estimation.method)
+        require_prediction(self.estimation.switches())
         if self.reachable is not None:
             _read_numbers(self.reachable)
         if not self._generated and not Path(self.candidates).exists():
@@ -176,26 +175,6 @@ class Guide(EstimateCommand):
             raise OptionError(f"--distance must be positive, got {self.distance:g}.")
         if self.up is not None and not 0 < np.linalg.norm(self.up) < np.inf:
             raise OptionError(f"--up must be a direction, got {' '.join(map(str, self.up))}.")
-
-    def _check_method(self) -> None:
-        method, preset = self.estimation.method, self.estimation.preset
-        switches = find_preset(preset, method=method)
-        if isinstance(switches, Preset) and switches.principled:
-            raise OptionError(
-                f"--method spectrum --preset {preset} cannot predict new photographs; add "
-                "--preset paper, or omit --method."
-            )
-        if isinstance(switches, AngularPreset) and switches.fit is not None:
-            raise OptionError(
-                f"--preset {preset} is the SH model, which fits the light at the poses of the "
-                "photographs only; add --method spectrum for Eq. 13, or omit --preset."
-            )
-        if self.guidance.band_limit == "growing" and method != "spectrum":
-            raise OptionError("--band-limit growing needs --method spectrum.")
-        strategy = self.guidance.strategy
-        needed = TABLE[strategy].method
-        if needed not in (None, method):
-            raise OptionError(f"--strategy {strategy} needs --method {needed}.")
 
 
 def _number(word: str) -> int | None:

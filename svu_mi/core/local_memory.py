@@ -21,6 +21,17 @@ def allocate(Float: type, entries: int, count: int) -> list[Any]:
     return [dr.alloc_local(Float, max(count, 1)) for _ in range(entries)]
 
 
+@dr.syntax
+def zeros(Float: type, entries: int, most: int, count: Any) -> list[Any]:
+    """Return memory as ``allocate(Float, entries, most)``, whose first ``count`` blocks are 0."""
+    memory = allocate(Float, entries, most)
+    index = mi.UInt32(0)
+    while index < count:
+        store(memory, index, [Float(0) for _ in range(entries)])
+        index += 1
+    return memory
+
+
 def load(memory: list[Any], index: Any) -> Block:
     """Read the block at ``index``."""
     return [slot[index] for slot in memory]

@@ -16,7 +16,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.core.local_memory import allocate, load, store
+from svu_mi.core.local_memory import allocate, load, store, zeros
 from svu_mi.frequency import cholesky
 from svu_mi.frequency.harmonics import FitSystem, ReadSample, normalized_double, power_per_degree
 
@@ -51,10 +51,9 @@ class SolvedSystem:
         """Accumulate the equations over the views and solve them."""
         size = system.degree + 1  # tiles with this edge need no padding
         blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)
-        gram = allocate(mi.Float64, size * size, memory)
-        right = allocate(mi.Float64, size * system.channels, size)
+        gram = zeros(mi.Float64, size * size, memory, dr.opaque(mi.UInt32, memory))
+        right = zeros(mi.Float64, size * system.channels, size, blocks)
         rows = allocate(mi.Float64, size, size)
-        gram, right = _clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
         _add_ridge(gram, system, size)
         memory = gram, right, rows, blocks
         gram, right, seen = _accumulate(sample, views, memory, system.basis)
@@ -74,20 +73,6 @@ def read_rows(memory: list, system: FitSystem) -> list[list[Any]]:
         [memory[i % size * channels + c][i // size] for c in range(channels)]
         for i in range(size * size)
     ]
-
-
-@dr.syntax
-def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]:
-    """Fill ``gram`` and ``right`` with zeros."""
-    i = mi.UInt32(0)
-    while i < tiles:
-        store(gram, i, [mi.Float64(0) for _ in gram])
-        i += 1
-    i = mi.UInt32(0)
-    while i < blocks:
-        store(right, i, [mi.Float64(0) for _ in right])
-        i += 1
-    return gram, right
 
 
 def _add_ridge(gram: list, system: FitSystem, size: int) -> None:

@@ -21,7 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.local_memory import allocate, load, store
+from svu_mi.core.local_memory import load, store, zeros
 from svu_mi.geometry.sample_view import ViewSample
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, ChannelFields, Colors
@@ -193,15 +193,9 @@ class _HypothesisLanes:
             products += [scaled * slope, scaled * rest, weight * rest * rest]
         return [old + new for old, new in zip(sums, products, strict=True)]
 
-    @dr.syntax
     def empty(self) -> list[Any]:
         """Allocate local memory for the sums of every row, all 0."""
-        sums = allocate(mi.Float, 3 * self.channels, self.rows)
-        row = mi.UInt32(0)
-        while row < mi.UInt32(self.rows):
-            store(sums, row, [mi.Float(0) for _ in sums])
-            row += 1
-        return sums
+        return zeros(mi.Float, 3 * self.channels, self.rows, mi.UInt32(self.rows))
 
     @dr.syntax
     def accumulate(self, sums: list[Any], view: Any) -> Any:

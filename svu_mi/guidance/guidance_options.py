@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from svu_mi.core.validation import require, require_types
 from svu_mi.errors import OptionError
-from svu_mi.guidance.strategies import StrategyName
+from svu_mi.guidance.strategies import TABLE, StrategyName
 from svu_mi.presets import AnyPreset, Preset
 
 BandLimit = Literal["preset", "photographs", "growing"]
@@ -81,3 +81,50 @@ def with_switches(options: GuidanceOptions | None, switches: dict[str, Any]) -> 
                 f"next_best_view(): unknown option {name!r}; use one of {', '.join(known)}."
             )
     return replace(options, **switches)
+
+
+def require_method(options: GuidanceOptions, method: str) -> None:
+    """Raise OptionError if options of guidance need an estimate by another method."""
+    if options.band_limit == "growing" and method != "spectrum":
+        raise OptionError(
+            "next_best_view(): band_limit='growing' needs power spectra (Eq. 13); use "
+            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit band_limit.",
+            shell="--band-limit growing needs --method spectrum with --preset paper (Eq. 13).",
+        )
+    needed = TABLE[options.strategy].method
+    if needed not in (None, method):
+        raise OptionError(
+            f"next_best_view(): {options.strategy} needs an estimate by method={needed!r}.",
+            shell=f"--strategy {options.strategy} needs --method {needed}.",
+        )
+
+
+def require_prediction(preset: AnyPreset) -> None:
+    """Raise OptionError if estimates with a preset cannot predict new photographs."""
+    words = f"--preset {preset.name} cannot predict new photographs"
+    if isinstance(preset, Preset):
+        if preset.principled:
+            raise OptionError(
+                "next_best_view(): power spectra of new photographs need parameters (roughness, "
+                "Ks); use preset='paper', parameters='specular' or method='angular'.",
+                shell=f"--method spectrum {words}; add --preset paper, or omit --method.",
+            )
+        return
+    if preset.parameters != "principled":
+        raise OptionError(
+            "next_best_view(): an angular estimate of (roughness, Ks) cannot predict photographs; "
+            "use parameters='principled', as in the default preset.", shell=f"{words}; omit it.",
+        )  # fmt: skip
+    if preset.fit is not None:
+        raise OptionError(
+            f"next_best_view(): the SH model (preset {preset.name!r}) contains the light only at "
+            "photographed directions; use method='spectrum', preset='paper' for Eq. 13, or another "
+            "preset.",
+            shell=f"--preset {preset.name} is the SH model, which fits the light at the poses of "
+            "the photographs only; add --method spectrum for Eq. 13, or omit --preset.",
+        )
+    if preset.channels == "joint" and preset.noise != "estimated":
+        raise OptionError(
+            "next_best_view(): an estimate with channels='joint' cannot predict photographs; use "
+            "channels='grey'.", shell=f"{words}; omit it.",
+        )  # fmt: skip

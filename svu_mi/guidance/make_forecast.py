@@ -7,14 +7,13 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.guidance import angular_forecast, spectral_forecast
 from svu_mi.guidance.angular_forecast import AngularForecast
 from svu_mi.guidance.forecast import Forecast, Hypotheses, numbers
 from svu_mi.guidance.growing_band_limit import GrowingForecast
-from svu_mi.guidance.guidance_options import GuidanceOptions
+from svu_mi.guidance.guidance_options import GuidanceOptions, require_prediction
 from svu_mi.guidance.objectives import Colors, EntropyMeasure, prior_tables
 from svu_mi.guidance.predicted_responses import ResponseFunction, Responses, collect_responses
 from svu_mi.guidance.spectral_forecast import SpectrumForecast
@@ -41,7 +40,7 @@ def forecast_of(
 ) -> Forecast:  # fmt: skip
     """Return the forecast of ``texels`` for candidate views with ``sensors``."""
     options = options.resolved(estimate.preset)
-    require_band_limit(estimate.method, options)
+    require_prediction(estimate.preset)
     observed = observations_of(estimate, None)
     # One random number per texel of the capture: draws do not depend on the chosen texels.
     starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
@@ -72,28 +71,7 @@ def _angular_forecast(
 ) -> AngularForecast:  # fmt: skip
     """Return a forecast with the energies of the angular estimate."""
     grid, by_nodes = posterior.grid, isinstance(posterior.kernel, AngularKernel)
-    if not isinstance(grid, PrincipledGrid):
-        raise OptionError(
-            "next_best_view(): an angular estimate of (roughness, Ks) cannot predict "
-            "photographs; use parameters='principled', as in the default preset.",
-            shell="An estimate of roughness and Ks cannot predict photographs; omit --preset.",
-        )
-    assert isinstance(switches, AngularPreset)
-    if switches.fit is not None:
-        raise OptionError(
-            f"next_best_view(): the SH model (preset {switches.name!r}) contains the light only at "
-            "photographed directions; use method='spectrum', preset='paper' for Eq. 13, or another "
-            "preset.",
-            shell=f"The SH model (preset {switches.name}) contains the light only at photographed "
-            "directions; give --method spectrum with --preset paper for Eq. 13, or another preset.",
-        )
-    if by_nodes and switches.channels == "joint":
-        raise OptionError(
-            "next_best_view(): an estimate with channels='joint' cannot predict photographs; use "
-            "channels='grey'.",
-            shell=f"An estimate with the preset {switches.name} cannot predict photographs; use "
-            "another preset.",
-        )
+    assert isinstance(grid, PrincipledGrid) and isinstance(switches, AngularPreset)
     channels = posterior.kernel.problem.factors.channels
     # Grey light: one lobe serves all channels.
     lobes = 1 if observed.grey_light(switches) else channels
@@ -159,14 +137,7 @@ def _spectrum_forecast(
 ) -> SpectrumForecast:  # fmt: skip
     """Return a forecast by power spectra; the light has the estimate's band limit."""
     grid = posterior.grid
-    if not isinstance(grid, ParameterGrid):
-        raise OptionError(
-            "next_best_view(): power spectra of new photographs need parameters (roughness, Ks); "
-            "use preset='paper', parameters='specular' or method='angular'.",
-            shell="Power spectra of new photographs need an estimate of roughness and Ks; give "
-            "--preset paper with --method spectrum, or omit both.",
-        )
-    assert isinstance(switches, Preset)
+    assert isinstance(grid, ParameterGrid) and isinstance(switches, Preset)
     surface = TexelLanes.of(observed.texels, numbers(texels))
     respond = spectral_forecast.respond(observed.views.scene, surface, observed.lighting, switches)
     p = np.array(posterior.probabilities_of(texels))
@@ -202,17 +173,6 @@ def _growing_forecast(
         prefilter=known.prefilter, relight=relight, observed=to_drjit(mi.Bool, seen),
         photographs=to_drjit(mi.Float, shown[texels][:, :, list(channels)].ravel()),
     )  # fmt: skip
-
-
-def require_band_limit(method: str, options: GuidanceOptions) -> None:
-    """Raise an error if the band limit is growing and the method is not "spectrum"."""
-    if options.band_limit == "growing" and method != "spectrum":
-        raise OptionError(
-            "next_best_view(): band_limit='growing' needs power spectra (Eq. 13); use "
-            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit band_limit.",
-            shell="--band-limit growing needs power spectra (Eq. 13); give --method spectrum "
-            "with --preset paper, or omit it.",
-        )
 
 
 def _entropy_measure(posterior: Posterior) -> EntropyMeasure:

@@ -23,10 +23,9 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates, candidates_or_default
 from svu_mi.guidance.greedy import GreedyScorer
-from svu_mi.guidance.guidance_options import GuidanceOptions, with_switches
+from svu_mi.guidance.guidance_options import GuidanceOptions, require_method, with_switches
 from svu_mi.guidance.guidance_result import Guidance, Proposal
-from svu_mi.guidance.make_forecast import require_band_limit
-from svu_mi.guidance.strategies import ViewScorer, strategy_for
+from svu_mi.guidance.strategies import TABLE, ViewScorer
 from svu_mi.guidance.strategy_inputs import StrategyInputs
 from svu_mi.pipeline import materialized
 from svu_mi.posterior.estimate import Estimate, observations_of
@@ -68,8 +67,8 @@ def next_best_view(
     """
     _require(estimate, count)
     options = with_switches(options, switches).resolved(estimate.preset)
-    require_band_limit(estimate.method, options)
-    strategy = strategy_for(options.strategy, estimate.method)
+    require_method(options, estimate.method)
+    strategy = TABLE[options.strategy]
     progress = progress or Progress()
     observed = observations_of(estimate, None)
     estimate = materialized(estimate, progress)

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
-from svu_mi.errors import OptionError
-
 if TYPE_CHECKING:
     from svu_mi.guidance.strategy_inputs import StrategyInputs
 
@@ -130,14 +128,3 @@ STRATEGIES = tuple(TABLE)
 
 if not TYPE_CHECKING:
     StrategyName: Any = Literal[STRATEGIES]
-
-
-def strategy_for(name: str, method: str) -> GuidanceStrategy:
-    """Return a strategy by name; raise an error if it cannot be used with ``method``."""
-    strategy = TABLE[name]
-    if strategy.method not in (None, method):
-        raise OptionError(
-            f"next_best_view(): {name} needs an estimate by method={strategy.method!r}.",
-            shell=f"--strategy {name} needs --method {strategy.method}.",
-        )
-    return strategy

@@ -205,28 +205,17 @@ def information_gain_limit(maps: np.ndarray) -> float:
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
 
-def information_gain_picture(
-    capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
-) -> np.ndarray:
-    """Render the information gain from a proposed camera, (h, w, 4); grey where it is 0.
-
-    ``maps`` (proposals, T) is ``Guidance.gain_maps()``; all proposals share its colour scale.
-    """
-    look = ObjectView.at(object_only_scene(capture), _enlarged(guidance.proposals[proposal].sensor))
-    limit = information_gain_limit(maps)
-    return information_gain_pictures([look], guidance, maps[proposal : proposal + 1], limit)[0]
-
-
 def information_gain_pictures(
-    looks: Sequence[ObjectView], guidance: Guidance, maps: np.ndarray, limit: float
+    looks: Sequence[ObjectView], guidance: Guidance, maps: np.ndarray
 ) -> list[np.ndarray]:
     """Render information gains (proposals, T) from proposed cameras, (h, w, 4); grey where 0.
 
-    ``limit`` is the gain at the upper end of the colours.
+    ``looks`` is ``proposal_views()``, and ``maps`` is ``Guidance.gain_maps()``.
     """
     everywhere, scale = fully_seen(guidance.texels), information_gain_colors()
+    limits = (0, information_gain_limit(maps))
     return [
-        look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
+        look.painted(map_colors(everywhere, gains, limits=limits, colormap=scale))
         for look, gains in zip(looks, maps, strict=True)
     ]
 

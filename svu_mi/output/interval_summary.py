@@ -23,52 +23,32 @@ ESTIMATED_LIGHT = (
 
 
 class Intervals:
-    """Intervals of the parameters of a posterior, computed on first use.
+    """Half-widths of the ``LEVEL`` intervals of a posterior's parameters, computed on first use.
 
-    ``chosen`` (t,) are texel indices, by default all; ``mass`` is the probability of an interval.
+    ``chosen`` (t,) are texel indices, by default all. With ``nearest`` (T,), indices into
+    ``chosen``, half-widths are repeated for all T texels.
     """
 
     def __init__(
-        self, posterior: Any, mass: float = LEVEL, chosen: np.ndarray | None = None
+        self, posterior: Any, chosen: np.ndarray | None = None, nearest: np.ndarray | None = None
     ) -> None:
-        self.mass = mass
         self.chosen = np.arange(posterior.count) if chosen is None else chosen
-        self._posterior = posterior
-        self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._posterior, self._nearest = posterior, nearest
         self._half: dict[str, np.ndarray] = {}
 
-    def ends(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper ends, (t, 1), or (t, 3) by channel, float32.
-
-        Raises an ``OptionError`` for an unknown parameter.
-        """
-        if name not in self._ends:
-            ends = self._posterior.interval(name, self.mass, self.chosen)
-            low, high = (np.array(end) for end in ends)
-            self._ends[name] = low.reshape(len(low), -1), high.reshape(len(high), -1)
-        return self._ends[name]
-
     def half_width(self, name: str) -> np.ndarray:
-        """Return half the width of the intervals, (t,), of the widest channel (see
+        """Return half the width of the intervals, (t,) or (T,), of the widest channel (see
         ``Posterior.half_width``)."""
         if name not in self._half:
-            self._half[name] = np.array(self._posterior.half_width(name, self.mass, self.chosen))
+            half = np.array(self._posterior.half_width(name, LEVEL, self.chosen))
+            self._half[name] = half if self._nearest is None else half[self._nearest]
         return self._half[name]
 
 
-class CoarseIntervals(Intervals):
-    """Intervals whose half-widths (T,) are computed for a subset of texels and repeated.
-
-    ``chosen`` (t,) are the computed texels; ``nearest`` (T,) are indices into ``chosen``.
-    """
-
-    def __init__(self, posterior: Any, chosen: np.ndarray, nearest: np.ndarray) -> None:
-        super().__init__(posterior)
-        self._subset, self._nearest = Intervals(posterior, chosen=chosen), nearest
-
-    def half_width(self, name: str) -> np.ndarray:
-        """Return half-widths (T,), repeated from the computed texels."""
-        return self._subset.half_width(name)[self._nearest]
+def interval_of(posterior: Any, name: str, texel: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return lower and upper end of a texel's ``LEVEL`` interval, one number per channel."""
+    low, high = (np.array(end).reshape(-1) for end in posterior.interval(name, LEVEL, [texel]))
+    return low, high
 
 
 def picture_intervals(estimate: Any, side: int) -> Intervals:
@@ -83,7 +63,7 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
     numbers[chosen] = np.arange(len(chosen))
     image = texels.to_image(numbers, -1)
     nearest = dilate(image, image >= 0, float(np.hypot(*image.shape))).reshape(-1)[index]
-    return CoarseIntervals(estimate.posterior, chosen, nearest)
+    return Intervals(estimate.posterior, chosen, nearest)
 
 
 def has_estimated_light(estimate: Any) -> bool:
@@ -94,7 +74,7 @@ def has_estimated_light(estimate: Any) -> bool:
 
 def sampled_intervals(estimate: Any) -> Intervals:
     """Return the intervals of a few thousand seen texels, which determine shares to 1 or 2 %."""
-    return Intervals(estimate.posterior, chosen=subsample(np.flatnonzero(is_seen(estimate))))
+    return Intervals(estimate.posterior, subsample(np.flatnonzero(is_seen(estimate))))
 
 
 @dataclass(frozen=True)
@@ -129,9 +109,7 @@ class IntervalSummary:
     withheld: str
 
     @classmethod
-    def of(
-        cls, estimate: Any, intervals: Intervals | None = None, tolerance: float = TOLERANCE
-    ) -> IntervalSummary:
+    def of(cls, estimate: Any, intervals: Intervals | None = None) -> IntervalSummary:
         """Summarise the intervals of an estimate.
 
         ``intervals`` are computed from its posterior (default: ``sampled_intervals``).
@@ -144,12 +122,12 @@ class IntervalSummary:
         area, seen = area[intervals.chosen], seen[intervals.chosen]
         names = list(open_axes(estimate)) if seen.any() else []
         half = {name: intervals.half_width(name)[seen] for name in names}
-        narrow = {} if is_found else {n: is_within(width, tolerance) for n, width in half.items()}
+        narrow = {} if is_found else {n: is_within(width, TOLERANCE) for n, width in half.items()}
         every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
         widest = {name: _widest_bin(estimate.posterior, name) for name in names}
         return cls(
-            level=intervals.mass,
-            tolerance=tolerance,
+            level=LEVEL,
+            tolerance=TOLERANCE,
             seen_part=seen_part,
             mean_entropy=float(entropy.mean()) if len(entropy) else None,
             known_part={name: area_share(area[seen], yes) for name, yes in narrow.items()},
@@ -157,7 +135,7 @@ class IntervalSummary:
             median_half_width={
                 name: weighted_median(width, area[seen]) for name, width in half.items()
             },
-            cell_width={name: w for name, w in widest.items() if not is_within(w / 2, tolerance)},
+            cell_width={name: w for name, w in widest.items() if not is_within(w / 2, TOLERANCE)},
             resolution=tuple(estimate.texels.resolution),
             withheld=ESTIMATED_LIGHT if is_found and names else "",
         )

@@ -16,6 +16,7 @@ from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import PARAMETERS
 from svu_mi.posterior.estimate import Estimate
+from svu_mi.posterior.intervals import LEVEL
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField
 
@@ -146,7 +147,7 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
 
 def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceMap:
     """Return the map of a parameter's interval half-width."""
-    half = f"half the width of the {100 * intervals.mass:g} % interval"
+    half = f"half the width of the {100 * LEVEL:g} % interval"
     is_found = has_estimated_light(estimate)
     meaning = f"Points count as determined up to ±{TOLERANCE:g}, the darkest sixth of the colours."
     several = name == "base_color" and estimate.posterior.channels == 3
@@ -155,7 +156,7 @@ def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceM
         name=f"uncertainty of {label_of(name)}", estimate=estimate,
         values=lambda: intervals.half_width(name),
         scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
-        sentence=f"Half-width of the {100 * intervals.mass:g} % interval{widest}. "
+        sentence=f"Half-width of the {100 * LEVEL:g} % interval{widest}. "
         + ("It may be too small, as the light was estimated." if is_found else meaning),
     )  # fmt: skip
 

@@ -22,7 +22,6 @@ from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import (
     file_names,
-    information_gain_limit,
     information_gain_pictures,
     proposal_views,
     write_guidance_overview,
@@ -59,9 +58,7 @@ def write_guidance(
         if pictures:
             looks = proposal_views(capture, guidance)
             write_guidance_overview(capture, estimate, guidance, maps, looks, target / PAGE, up)
-            thumbnails = information_gain_pictures(
-                looks, guidance, maps, information_gain_limit(maps)
-            )
+            thumbnails = information_gain_pictures(looks, guidance, maps)
             _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
         run.progress(3, 4)
         _write_maps(guidance, maps, target)

@@ -224,7 +224,7 @@ def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
 def test_points_are_shown_with_their_intervals(estimate, table):
     result = EstimateArrays.of(estimate)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
-    for example in report_plots.example_texels(table, estimate, result, 0.9, [None] * 4):
+    for example in report_plots.example_texels(table, estimate, result, [None] * 4):
         column, row = map(int, re.search(r"column (\d+), row (\d+)", example["sentence"]).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
         told = {name: interval for name, _, interval in example["plots"]}
@@ -235,7 +235,7 @@ def test_points_are_shown_with_their_intervals(estimate, table):
 def test_points_are_on_different_sides(estimate, table):
     frames = list(range(4))
     result = EstimateArrays.of(estimate)
-    examples = list(report_plots.example_texels(table, estimate, result, 0.9, frames))
+    examples = list(report_plots.example_texels(table, estimate, result, frames))
     assert len({example["picture"] for example in examples}) == 3
 
 

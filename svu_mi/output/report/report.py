@@ -119,7 +119,7 @@ def _pictures(
     report(3, 5)
     turned = [frame[0] for frame in frames]
     result = EstimateArrays.of(estimate)
-    examples = list(report_plots.example_texels(table, estimate, result, intervals.mass, turned))
+    examples = list(report_plots.example_texels(table, estimate, result, turned))
     report(4, 5)
     return {
         "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,

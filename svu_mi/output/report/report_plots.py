@@ -15,7 +15,7 @@ from svu_mi.output.estimate_arrays import (
     prior_marginal,
 )
 from svu_mi.output.html import PageImage, grouped
-from svu_mi.output.interval_summary import Intervals
+from svu_mi.output.interval_summary import interval_of
 from svu_mi.output.panels import bar_edges
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.style import css_colors
@@ -117,7 +117,7 @@ def marginal_plots(estimate: Any, result: EstimateArrays) -> Iterator[tuple[str,
 
 
 def example_texels(
-    table: Turntable, estimate: Any, result: EstimateArrays, mass: float, frames: list[PageImage]
+    table: Turntable, estimate: Any, result: EstimateArrays, frames: list[PageImage]
 ) -> Iterator[dict[str, Any]]:
     """Yield seen texels of low, median and high entropy with their marginals, from several sides.
 
@@ -135,7 +135,6 @@ def example_texels(
             place = place or table.find(estimate.texels, alike, sides)
         texel, number, x, y = place or (int(order[rank]), -1, 0.0, 0.0)
         used += [number] if place else []
-        intervals = Intervals(estimate.posterior, mass, np.array([texel]))
         marginals = {
             n: np.array(p, np.float64).reshape(p.shape[1], -1)
             for n, p in estimate.posterior.marginals([texel]).items()
@@ -147,13 +146,13 @@ def example_texels(
             "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
             "plots": [(label_of(n), _marginal(estimate.posterior, n, marginals[n]),
-                       _interval_text(intervals, n)) for n in open_axes(estimate)],
+                       _interval_text(*interval_of(estimate.posterior, n, texel)))
+                      for n in open_axes(estimate)],
         }  # fmt: skip
 
 
-def _interval_text(intervals: Intervals, name: str) -> str:
+def _interval_text(low: np.ndarray, high: np.ndarray) -> str:
     """Return the interval of one texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
-    low, high = (end[0] for end in intervals.ends(name))
     texts = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
     return texts[0] if len(texts) == 1 else ", ".join(map(" ".join, zip("RGB", texts, strict=True)))
 

@@ -16,7 +16,7 @@ from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import column_and_row, label_of, open_axes
-from svu_mi.output.interval_summary import Intervals
+from svu_mi.output.interval_summary import interval_of
 from svu_mi.output.panels import draw_marginal
 from svu_mi.output.style import MARK, new_figure
 from svu_mi.output.surface_maps import Scale
@@ -42,7 +42,6 @@ class Pick:
         seen_by: Indices of the sensors that see the texel.
         summaries: Most probable value, mean, and both ends of the interval by parameter, with one
             or three channels; empty if the texel is unseen.
-        mass: Probability of the intervals.
     """
 
     texel: int
@@ -52,7 +51,6 @@ class Pick:
     entropy: float
     seen_by: tuple[int, ...]
     summaries: dict[str, tuple[np.ndarray, ...]]
-    mass: float
 
 
 class Picker:
@@ -95,17 +93,15 @@ class Picker:
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
             seen_by=seen_by, summaries=self._summaries(texel) if seen_by else {},
-            mass=LEVEL,
         )  # fmt: skip
 
     def _summaries(self, texel: int) -> dict[str, tuple[np.ndarray, ...]]:
         posterior, summaries = self._estimate.posterior, {}
-        own = Intervals(posterior, chosen=np.array([texel]))  # of all texels, they take seconds
         best = posterior.map([texel])
         for name in posterior.axes:
-            low, high = own.ends(name)
             values = np.array(best[name])[0], np.array(posterior.mean(name))[texel]
-            summaries[name] = (*map(np.atleast_1d, values), low[0], high[0])
+            ends = interval_of(posterior, name, texel)
+            summaries[name] = (*map(np.atleast_1d, values), *ends)
         return summaries
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:
@@ -136,7 +132,7 @@ def texel_markdown(capture: Capture, pick: Pick) -> str:
 
 def _table(pick: Pick) -> list[str]:
     """Return mean, interval and most probable value of each parameter as a Markdown table."""
-    lines = [f"| | mean | {100 * pick.mass:g} % interval | most probable |", "|-|-|-|-|"]
+    lines = [f"| | mean | {100 * LEVEL:g} % interval | most probable |", "|-|-|-|-|"]
     for name, values in pick.summaries.items():
         channels = (" R", " G", " B") if len(values[0]) == 3 else ("",)
         for channel, best, mean, low, high in zip(channels, *values, strict=True):
