@@ -62,4 +62,4 @@ def likely_cause(patterns: ResidualPatterns) -> str:
 def _is_changed_from_below(patterns: ResidualPatterns, least: float) -> bool:
     """Return whether light from below explains errors; a table leaves some of it right."""
     explained = patterns.from_below > least and patterns.error < 1
-    return explained and patterns.around.is_seen_from_above()
+    return explained and patterns.around.from_above

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.capture.mesh import unit_vectors
-from svu_mi.capture.up_direction import up_direction
+from svu_mi.capture.up_direction import is_seen_from_above, up_direction
 from svu_mi.geometry.packed_views import CAMERA_FLOATS
 from svu_mi.posterior.held_out_samples import HeldOutSamples
 from svu_mi.posterior.observations import Observed
@@ -30,6 +30,7 @@ class Surroundings:
         cameras: (V, 3) positions.
         pixels: function of view (S,) and texel (S,): a function of shift (S, 2), which returns the
             radiance (S, C) there. Shifts are in hundredths of the size of the image.
+        from_above: True if no camera is below the object.
     """
 
     frame: np.ndarray
@@ -37,10 +38,7 @@ class Surroundings:
     position: np.ndarray
     cameras: np.ndarray
     pixels: Callable[[np.ndarray, np.ndarray], Callable[[np.ndarray], np.ndarray]]
-
-    def is_seen_from_above(self) -> bool:
-        """Return whether no camera is below the lowest texel."""
-        return bool(self.cameras[:, 1].min() > self.position[:, 1].min())
+    from_above: bool
 
     @staticmethod
     def of(observed: Observed, texels: np.ndarray) -> Surroundings:
@@ -73,8 +71,9 @@ class Surroundings:
             return shifted
 
         return Surroundings(
-            frame, normal @ frame, position @ frame, cameras[:, 12:15] @ frame, pixels
-        )
+            frame, normal @ frame, position @ frame, cameras[:, 12:15] @ frame, pixels,
+            is_seen_from_above(observed.capture),
+        )  # fmt: skip
 
 
 def compressed(radiance: np.ndarray, unit: float) -> np.ndarray:

@@ -56,8 +56,9 @@ class Ball:
             np.full(shown.shape, 0.05), np.ones_like(shown),
         )  # fmt: skip
         around = Surroundings(
-            np.eye(3), self.normal, self.normal, self.eyes, pixels or (lambda *_: lambda _: shown)
-        )
+            np.eye(3), self.normal, self.normal, self.eyes,
+            pixels or (lambda *_: lambda _: shown), bool(self.eyes[:, 1].min() > -1),
+        )  # fmt: skip
         return judged(samples, around)
 
 
@@ -128,7 +129,7 @@ def test_equal_samples_are_not_judged(ball):
     nothing = np.zeros((0, 3))
     empty = HeldOutSamples(*[np.zeros(0, int)] * 3, np.zeros(0), *[nothing] * 4)
     around = Surroundings(
-        np.eye(3), ball.normal, ball.normal, ball.eyes, lambda *_: lambda _: nothing
+        np.eye(3), ball.normal, ball.normal, ball.eyes, lambda *_: lambda _: nothing, False
     )
     assert judged(empty, around) is None
 
@@ -148,5 +149,5 @@ def replace_eyes(ball, eyes):
 @pytest.mark.parametrize("from_below, cause", [(0.3, "surroundings"), (0.1, "poses")])
 def test_clear_causes_need_no_bad_prediction(from_below, cause):
     found = SimpleNamespace(gain=(0.3, 0.2), error=0.1, shift=(0.3,), groups=0, moving_light=0.1)
-    found.from_below, found.around = from_below, SimpleNamespace(is_seen_from_above=lambda: True)
+    found.from_below, found.around = from_below, SimpleNamespace(from_above=True)
     assert clear_cause(found) == cause
