@@ -62,7 +62,8 @@ def match_photographs(
         return _by_name(folder, ids, own, missing)
     if any_name and pictures:
         return _in_order(folder, ids, pictures, missing)
-    return _by_name(folder, numbers, [], missing)
+    named = ids if all(map(_id, ids)) else numbers
+    return _by_name(folder, named, [], missing)
 
 
 def photographs_of(path: Path, ids: Collection[str] = ()) -> Path:

@@ -407,7 +407,7 @@ def test_photographs_of_any_name_are_in_natural_order(tmp_path, mask):
 def test_textures_beside_a_scene_are_no_photographs(tmp_path):
     path = write_scene(tmp_path, sensors=sensor_xml(1))
     write_exr(tmp_path / "base_color.exr", {"RGB": np.ones((24, 24, 3))})
-    message = f"{tmp_path}: 1 of 1 photographs is missing, first view_0000.exr; no image there"
+    message = f"{tmp_path}: 1 of 1 photographs is missing, first cam0.exr; no image there"
     with pytest.raises(CaptureError, match=message):
         load_capture(path)
 

@@ -117,7 +117,7 @@ def test_error_names_content_of_folder_without_photographs(tmp_path, capsys, pla
         (raw / name).touch()
     assert run("entropy", path, "--images", raw, "-o", tmp_path / "out") == 2
     assert capsys.readouterr().err == (
-        f"svu: {raw}: 8 of 8 photographs are missing, first view_0000.exr; {instead}.\n"
+        f"svu: {raw}: 8 of 8 photographs are missing, first cam0.exr; {instead}.\n"
     )
 
 

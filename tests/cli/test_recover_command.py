@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import mitsuba as mi
@@ -50,7 +51,8 @@ def maps(folder):
     return {name: np.array(tensor) for name, tensor in read_textures(folder).items()}
 
 
-def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path, monkeypatch, capsys):
     assert recover(shot, tmp_path, "--seed", 5, "--tv", 0.1, "--sharing") == 0
     assert names(tmp_path) == FILES
     for name, values in maps(tmp_path).items():
@@ -77,6 +79,10 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
         np.median(sd["roughness.sd"][coverage == views]) for views in (coverage.max(), 0)
     )
     assert sure < unsure
+    page = SimpleNamespace(summary=str)
+    monkeypatch.setattr("svu_mi.output.report.report.write_report", lambda *_, **__: page)
+    assert run("report", shot, "--recovered", tmp_path, "-o", tmp_path / "page.html") == 0
+    assert "recovered with sharing; shares, maps" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from svu_mi.errors import CaptureError, excerpt
 
 GAIN = {"gain": Field(NUMBER, (), 1e-30, 1e30)}
 EQUAL = 1.01  # ratio of the largest and the smallest exposure that counts as equal
+BRIGHTENED = " If the photographs were brightened afterwards, import with --exposures estimate."
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
 
 
@@ -38,25 +39,25 @@ def with_gains(
         return frames, True, []
     if gains in ("none", "estimate"):
         return [replace(frame, exposure=1.0) for frame in frames], gains == "none", []
+    source, unless = gains, ""
     if gains is not None and gains != "exif":
-        return with_listed_gains(frames, Path(gains)), True, []
-    try:
-        frames = with_exif_gains(frames)
-    except CaptureError as error:
-        if gains is not None:
-            raise
-        are_radiance = not any(open_image(frame.image).bits for frame in frames)
-        some = sum(_has_exposure(frame.taken) for frame in frames)
-        note = f"EXIF: exposures of {some} of {len(frames)} photographs are not used: {error}"
-        return frames, are_radiance, [note] if some else []
+        frames = with_listed_gains(frames, Path(gains))
+    else:
+        source, unless = "EXIF", BRIGHTENED
+        try:
+            frames = with_exif_gains(frames)
+        except CaptureError as error:
+            if gains is not None:
+                raise
+            are_radiance = not any(open_image(frame.image).bits for frame in frames)
+            some = sum(_has_exposure(frame.taken) for frame in frames)
+            note = f"EXIF: exposures of {some} of {len(frames)} photographs are not used: {error}"
+            return frames, are_radiance, [note] if some else []
     each = [frame.exposure for frame in frames]
     ratio = max(each) / min(each)
     if ratio < EQUAL:
         return frames, True, []
-    note = (
-        f"EXIF: exposures differ by {ratio:.2g} x; pixels are divided by them. If the photographs "
-        "were brightened afterwards, import with --exposures estimate."
-    )
+    note = f"{source}: exposures differ by {ratio:.2g} x; pixels are divided by them.{unless}"
     return frames, True, [note]
 
 

@@ -397,6 +397,10 @@ def test_exposures_of_undistorted_photographs_are_those_of_the_originals(tmp_pat
     record = json.loads((out / "capture.json").read_text())
     np.testing.assert_allclose(record["exposure"], [2 / 3, 4 / 3], rtol=1e-5)
     assert record["import"]["photographs"] == ["images/a place/0.png", "images/a place/1.png"]
+    listed = tmp_path / "gains.txt"
+    listed.write_text("0.png 1\n1.png 3\n")
+    assert run(*words, "--exposures", listed, "--overwrite") == 0
+    assert f"{listed}: exposures differ by 3 x; pixels are divided" in capsys.readouterr().out
 
 
 KILL = "import os, signal; os.kill(os.getppid(), signal.SIGKILL)"
