@@ -82,7 +82,7 @@ class StrategyInputs:
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
         if isinstance(posterior.kernel, CalibratedKernel):
             # Exclude the common scale: no candidate determines the brightness of the light.
-            posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
+            posterior = replace(posterior, kernel=posterior.kernel.alone())
         present, prior = [], []
         for name, p in marginals(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]

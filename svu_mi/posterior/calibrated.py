@@ -9,7 +9,7 @@ Probabilities are integrals over the grid's bins, and the entropy (Eq. 5) is com
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from statistics import NormalDist
@@ -127,6 +127,8 @@ class CalibratedKernel(Kernel):
             ``sd``, ``interval``, draws and entropy to sqrt(f^2 s^2 + c^2), with c of roughness
             from ``blur_error``, up to the prior's standard deviation; means and bin probabilities
             stay. Default: not widened.
+        apart: distance of means from those of neighbours by parameter, (S, g); widens the same
+            results if it exceeds the standard deviation (``neighbor_error``).
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
         support: the same for a scale of each of the S texels (``support_error``), (S, 3); or None.
@@ -138,6 +140,7 @@ class CalibratedKernel(Kernel):
     summary: kernel.PosteriorSummary = field(repr=False)
     learned: bool = False
     spread: Mapping[str, float] = field(default_factory=dict)
+    apart: Mapping[str, np.ndarray] = field(default_factory=dict)
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
     support: np.ndarray | None = None
     continuous = True
@@ -180,7 +183,8 @@ class CalibratedKernel(Kernel):
         for name in self.spread:
             mean, sd = self._own_moments(name, texels)
             scaled = 2 * math.pi * math.e * (sd * (len(self.grid.axes[name]) - 1)) ** 2
-            rise = np.log((1 + self._factors(name, mean, sd) ** 2 * scaled) / (1 + scaled)) / 2
+            factors = self._factors(name, mean, sd, texels)
+            rise = np.log((1 + factors**2 * scaled) / (1 + scaled)) / 2
             added = added + rise.mean(axis=1, dtype=np.float32)
         return added
 
@@ -207,17 +211,22 @@ class CalibratedKernel(Kernel):
     def moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation (see ``Kernel``)."""
         mean, sd = self._own_moments(name, texels)
-        sd = sd * self._factors(name, mean, sd)
+        sd = sd * self._factors(name, mean, sd, texels)
         return mean, np.hypot(sd, mean * self._scale(texels)) if name == "base_color" else sd
 
-    def _factors(self, name: str, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    def _factors(
+        self, name: str, mean: np.ndarray, sd: np.ndarray, texels: np.ndarray
+    ) -> np.ndarray:
         """Return factors of standard deviations ``sd``, (t, g), up to the prior's (``spread``)."""
         if name not in self.spread:
             return np.ones_like(sd)
         most, sd = np.float32(self.prior.moments(name)[1]), np.maximum(sd, np.float32(1e-9))
         blurred = blur_error(mean) if name == "roughness" else np.float32(0)
-        factor = np.hypot(self.spread[name], blurred / sd)
-        return np.clip(np.minimum(factor, most / sd), 1, None)
+        wide = np.hypot(self.spread[name] * sd, blurred)
+        if name in self.apart:
+            apart = self.apart[name][self.lane[texels]]
+            wide = np.sqrt(np.maximum(wide**2, apart**2 - wide**2))
+        return np.clip(np.minimum(wide, most) / sd, 1, None)
 
     def _own_moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation without ``spread`` and ``common``, (t, g)."""
@@ -231,6 +240,10 @@ class CalibratedKernel(Kernel):
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
         """Return the ends of the shortest intervals (see ``Kernel``)."""
+        return self.widened_ends(name, level, self.own_ends(name, level, texels), texels)
+
+    def own_ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
+        """Return the ends of intervals without ``spread`` and ``common`` (see ``Kernel``)."""
         lanes = self.lane[texels]
         of = self._ends_of_color if name == "base_color" else partial(self._ends_of_nodes, name)
         chunks = [
@@ -238,7 +251,11 @@ class CalibratedKernel(Kernel):
             for first in range(0, len(lanes), TEXELS_PER_CHUNK)
         ]
         low, high = (np.concatenate([ends[k] for ends in chunks]) for k in range(2))
-        low, high = (self._stretched(name, end, texels) for end in (low, high))
+        return low, high
+
+    def widened_ends(self, name: str, level: float, ends: Pair, texels: np.ndarray) -> Pair:
+        """Return the ends of intervals, given those of ``own_ends``."""
+        low, high = (self._stretched(name, end, texels) for end in ends)
         if name != "base_color" or not self._has_scale:
             return low, high
         middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._scale(texels)
@@ -252,7 +269,7 @@ class CalibratedKernel(Kernel):
         if name not in self.spread:
             return values
         mean, sd = self._own_moments(name, texels)
-        factor = self._factors(name, mean, sd)
+        factor = self._factors(name, mean, sd, texels)
         if channel is not None:
             mean, factor = (np.take_along_axis(x, channel[:, None], axis=1) for x in (mean, factor))
         return np.clip(mean + factor * (values - mean), 0, 1)
@@ -308,9 +325,37 @@ class CalibratedKernel(Kernel):
         random = np.random.default_rng((seed, number)).random(shape, np.float32)
         return random[:, lanes]
 
-    def without_common_scale(self) -> CalibratedKernel:
-        """Return the kernel without the uncertainty of the common scale."""
-        return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
+    def of_tiles(
+        self, tiles: Sequence[tuple[kernel.PosteriorSummary, np.ndarray]], texels: np.ndarray
+    ) -> CalibratedKernel:
+        """Return a kernel of the moments, noise and entropy of ``texels`` (S,) of several tiles.
+
+        Tiles are their summaries and noise; only these are correct in the result.
+        """
+        values = zip(*(vars(summary).values() for summary, _ in tiles), strict=True)
+        joined = [
+            [dr.concat(list(row)) for row in zip(*of_tiles, strict=True)]
+            if isinstance(of_tiles[0], list) else dr.concat(list(of_tiles))
+            for of_tiles in values
+        ]  # fmt: skip
+        factors = replace(self.problem.factors, texel=to_drjit(mi.UInt32, texels.astype(np.uint32)))
+        return replace(
+            self, problem=replace(self.problem, factors=factors),
+            noise=np.concatenate([noise for _, noise in tiles]),
+            summary=kernel.PosteriorSummary(*joined),
+        )  # fmt: skip
+
+    def widened_like(self, other: CalibratedKernel, texels: np.ndarray) -> CalibratedKernel:
+        """Return the kernel with the error bars of ``texels`` of another, in the same order."""
+        lanes = other.lane[texels]
+        return replace(
+            self, spread=other.spread, apart={name: x[lanes] for name, x in other.apart.items()},
+            support=None if other.support is None else other.support[lanes],
+        )  # fmt: skip
+
+    def alone(self) -> CalibratedKernel:
+        """Return the kernel of texels by themselves: no common scale, no neighbours."""
+        return replace(self, common=(0.0, 0.0, 0.0), apart={})
 
     @property
     def _has_scale(self) -> bool:

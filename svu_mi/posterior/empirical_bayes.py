@@ -78,7 +78,7 @@ def _likely(
     posterior: Posterior[CalibratedKernel], lanes: np.ndarray, smoothed: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Return masses of bins under normal distributions around smoothed means, (t, R, M, K, C)."""
-    own, problem = posterior.kernel.without_common_scale(), posterior.kernel.problem
+    own, problem = posterior.kernel.alone(), posterior.kernel.problem
     texels, total = problem.factors.texel.numpy()[lanes], np.ones((len(lanes), 1, 1))
     for name, nodes in posterior.axes.items():
         mean = smoothed[name][texels].reshape(len(texels), -1, 1)

@@ -21,7 +21,13 @@ from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
 from svu_mi.posterior.angular import angular_posterior
-from svu_mi.posterior.calibrated import calibrated_posterior, fit, posterior_of, problem_of
+from svu_mi.posterior.calibrated import (
+    CalibratedKernel,
+    calibrated_posterior,
+    fit,
+    posterior_of,
+    problem_of,
+)
 from svu_mi.posterior.kept_results import (
     pack_factors,
     pack_fit,
@@ -32,6 +38,7 @@ from svu_mi.posterior.kept_results import (
 )
 from svu_mi.posterior.kernel import observed_by
 from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_metal_share
+from svu_mi.posterior.neighbor_error import distance_from_neighbors
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest
@@ -90,7 +97,7 @@ def statistics_posterior(
     """Return the posterior of all texels from their statistics."""
     observed, count = inputs.observed, inputs.observed.texels.count
     if switches.noise != "estimated":
-        return _posterior(inputs, switches, factors, None, count, factors.texel.numpy())
+        return _posterior(inputs, switches, factors, None, count)
     scale, copies = observed.unit, inputs.plan.copies
     problem = problem_of(factors, inputs.grid, scale, switches, inputs.prior, copies)
     fitted = observed.cache.recall(
@@ -100,7 +107,7 @@ def statistics_posterior(
     )  # fmt: skip
     seen = observed_by("estimate()", factors, copies, count)
     posterior = posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
-    return _widened(posterior, inputs, factors.texel.numpy())
+    return _widened(posterior, inputs)
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
@@ -115,20 +122,35 @@ def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[A
     return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
 
 
-def _widened(posterior: Posterior, inputs: EstimatorInputs, texels: np.ndarray) -> Posterior:
-    """Return the posterior with wider error bars, of lanes that are ``texels`` of the capture.
+def _widened(posterior: Posterior, inputs: EstimatorInputs) -> Posterior:
+    """Return the posterior with wider error bars."""
+    if not inputs.test.spread:
+        return posterior
+    return replace(posterior, kernel=_widened_kernel(posterior.kernel, inputs))
 
-    By the test by folds, and by what the object may stand on.
+
+def _widened_kernel(kernel: CalibratedKernel, inputs: EstimatorInputs) -> CalibratedKernel:
+    """Return the kernel of texels of the capture with wider error bars.
+
+    By the test by folds, by neighbours, and by what the object may stand on.
     """
+    if not inputs.test.spread:
+        return kernel
     observed, support = inputs.observed, None
-    if inputs.test.spread and may_stand(observed.capture):
-        lanes = to_drjit(mi.UInt32, texels.astype(np.uint32))
-        own = dr.gather(type(observed.texels.normal), observed.texels.normal, lanes)
+    lanes, texels = kernel.problem.factors.texel, observed.texels
+    if may_stand(observed.capture):
+        own = dr.gather(type(texels.normal), texels.normal, lanes)
         normal = np.stack([x.numpy() for x in own], axis=1)
         light, up = observed.distant_light.environment, up_direction(observed.capture)
         support = support_error(light, up, normal, found=observed.plane is not None)
-    kernel = replace(posterior.kernel, spread=inputs.test.spread, support=support)
-    return replace(posterior, kernel=kernel)
+    index = dr.gather(mi.UInt32, texels.index, lanes).numpy().astype(np.int64)
+    apart = {
+        name: distance_from_neighbors(
+            kernel.moments(name, lanes.numpy())[0], index, texels.resolution
+        )
+        for name in kernel.grid.axes
+    }
+    return replace(kernel, spread=inputs.test.spread, support=support, apart=apart)
 
 
 def with_metal_share(
@@ -184,6 +206,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
         kernel = TiledKernel(
             grid=inputs.grid, observed=observed, report=stage.update,
             make=lambda texels: _of_tile(inputs, switches, texels).kernel,
+            widened=lambda kernel: _widened_kernel(kernel, inputs),
         )  # fmt: skip
         tiled = Posterior(kernel=kernel, observed=observed)
         tiled.entropy()
@@ -215,7 +238,8 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
         dr.flush_malloc_cache()  # releases the sums of the last tile
     known = [part for part in rounded if part is not None]  # either all tiles have one, or none
     rounding = np.concatenate(known) if known else None
-    return _posterior(inputs, switches, factors, rounding, seen.texels.count, texels)
+    posterior = _posterior(inputs, switches, factors, rounding, seen.texels.count)
+    return _widened(posterior, inputs)
 
 
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:
@@ -228,7 +252,7 @@ def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarra
     factors = _factors(inputs, part, switches, None)
     factors = replace(factors, texel=to_drjit(mi.UInt32, own.astype(np.uint32)))
     rounding = _rounding(part, switches)
-    return _posterior(inputs, switches, factors, rounding, len(texels), texels[own])
+    return _posterior(inputs, switches, factors, rounding, len(texels))
 
 
 def _factors(
@@ -258,16 +282,14 @@ def _posterior(
     factors: Factors,
     rounding: np.ndarray | None,
     texels: int,
-    of_lanes: np.ndarray,
 ) -> Posterior:
-    """Return the posterior of ``texels`` texels; lanes are texels ``of_lanes`` of the capture."""
+    """Return the posterior of ``texels`` texels, without wider error bars."""
     plan, seen = inputs.plan, inputs.observed
     if switches.noise == "estimated":
-        posterior = calibrated_posterior(
+        return calibrated_posterior(
             factors, inputs.grid, seen.unit, switches, prior=inputs.prior, copies=plan.copies,
             texels=texels, light_uncertainty=seen.capture.light_uncertainty, rounding=rounding,
         )  # fmt: skip
-        return _widened(posterior, inputs, of_lanes)
     return angular_posterior(
         factors, inputs.grid, seen.unit, switches,
         prior=inputs.prior, copies=plan.copies, levels=plan.levels, texels=texels,

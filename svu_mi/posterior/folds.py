@@ -10,10 +10,10 @@ clusters of camera directions, because errors of neighbouring views are alike: i
 other shapes, or poses that are off, which the model lacks, differ between sides. For each
 parameter, r^2 is the ratio of both sides' sums over a sample of texels and all folds, and
 
-    s <- s sqrt(max(1, a r^2)).
+    s <- s max(1, r).
 
-Means stay. a = 1.3 accounts for errors that all sides share (notebooks/design/calibration.md), and
-so does ``blur_error`` of low roughness. If held-out photographs are predicted badly, s is increased
+Means stay. ``blur_error`` of low roughness and ``neighbor_error`` account for errors that all sides
+share (notebooks/design/calibration.md). If held-out photographs are predicted badly, s is increased
 by a further factor of 1.5, because the error that shows there is seldom the only one.
 """
 
@@ -26,9 +26,8 @@ import numpy as np
 ENOUGH = 12  # number of views from which s is increased as stated; fewer than 4 do not increase it
 SAMPLE = 800  # number of texels
 MIN_VIEWS = 6  # minimum number of views of a texel
-SHARED = 1.3  # a
 UNRELIABLE = 1.5  # factor of standard deviations if held-out photographs are predicted badly
-BLUR, SHARPEST = 2e-4, 0.1  # radians^2; roughness below which the error of blur is constant
+BLUR, SHARPEST = 1e-4, 0.1  # radians^2; roughness below which the error of blur is constant
 ROUNDS = 20  # rounds of k-means
 TINY = 1e-9
 
@@ -117,5 +116,5 @@ def spread_factors(
         moved = np.square(mean[1:] - mean[0])[there].sum()
         grown = (np.square(sd[1:]) - np.square(sd[0]))[there].sum()
         ratio = moved / grown if grown > TINY else 0.0
-        factors[name] = float(np.sqrt(1 + trust * max(SHARED * ratio - 1, 0.0)))
+        factors[name] = float(np.sqrt(1 + trust * max(ratio - 1, 0.0)))
     return factors

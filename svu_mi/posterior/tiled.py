@@ -1,7 +1,8 @@
 """Kernel that computes the posterior of many texels in tiles.
 
-The first pass caches entropy and, for calibrated posteriors, moments. Other results recompute the
-statistics of the requested texels.
+The first pass caches entropy and, for calibrated posteriors, moments and noise. Error bars depend
+on neighbours, perhaps of another tile, so they are computed after the first pass. Other results
+recompute the statistics of the requested texels.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.core.memory import AT_WORK
+from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import LEVEL, subsample
 from svu_mi.posterior.kernel import Kernel, Pair, Prior
@@ -31,16 +33,18 @@ class TiledKernel(Kernel):
     Attributes:
         observed: (T,) bool, mask of seen texels; only these can be requested.
         make: function from (t,) texels to a kernel, which numbers them from 0 to t - 1.
+        widened: function that adds the error bars to a calibrated kernel of all seen texels.
         report: callback for progress of the first pass; gets numbers of finished and all texels.
     """
 
     grid: Grid
     observed: np.ndarray
     make: Callable[[np.ndarray], Kernel] = field(repr=False)
+    widened: Callable[[CalibratedKernel], CalibratedKernel] = field(repr=False)
     size: int = AT_WORK
     report: Callable[[int, int], None] = field(default=lambda *_: None, repr=False)
     _last: dict[bytes, Kernel] = field(default_factory=dict, repr=False)
-    _widths: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+    _ends: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def channels(self) -> int:
@@ -60,7 +64,7 @@ class TiledKernel(Kernel):
     @property
     def spread(self) -> Mapping[str, float]:  # type: ignore[override]
         """Factors of standard deviations (see ``Kernel``)."""
-        return self._one.spread
+        return (self._whole or self._one).spread
 
     @cached_property
     def _one(self) -> Kernel:
@@ -73,7 +77,8 @@ class TiledKernel(Kernel):
 
     def noise_of(self, texels: np.ndarray) -> np.ndarray:
         """Return the noise of texels, (t,) radiance (see ``CalibratedKernel``)."""
-        return self._joined(texels, lambda tile, own: tile.noise_of(own))
+        assert self._whole is not None
+        return self._whole.noise_of(texels)
 
     def entropy(self, texels: np.ndarray) -> np.ndarray:
         """Return the normalised entropy, cached for all texels (see ``Kernel``)."""
@@ -94,20 +99,18 @@ class TiledKernel(Kernel):
 
     def moments(self, name: str, texels: np.ndarray) -> Pair:
         """Return mean and standard deviation, cached for all texels (see ``Kernel``)."""
+        if self._whole is not None:
+            return self._whole.moments(name, texels)
         mean, sd = self._moments[name]
         return mean[texels], sd[texels]
 
     def ends(self, name: str, level: float, texels: np.ndarray) -> Pair:
-        """Return the ends of the shortest intervals (see ``Kernel``)."""
+        """Return the ends of the shortest intervals, cached for a sample (see ``Kernel``)."""
+        if self._whole is not None and level == LEVEL and np.isin(texels, self._sample).all():
+            kept = self._ends[name][np.searchsorted(self._sample, texels)]
+            return self._whole.widened_ends(name, level, (kept[:, 0], kept[:, 1]), texels)
         ends = self._joined(texels, lambda tile, own: np.stack(tile.ends(name, level, own), axis=1))
         return ends[:, 0], ends[:, 1]
-
-    def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals, cached for a sample of texels (see ``Kernel``)."""
-        kept = self._widths.get(name) if level == LEVEL else None
-        if kept is not None and np.isin(texels, self._sample).all():
-            return kept[np.searchsorted(self._sample, texels)]
-        return self._joined(texels, lambda tile, own: tile.half_widths(name, level, own))
 
     def draws(self, count: int, seed: int, texels: np.ndarray) -> dict[str, np.ndarray]:
         """Sample parameters, with a separate seed for each tile (see ``Kernel``)."""
@@ -120,45 +123,52 @@ class TiledKernel(Kernel):
         return drawn
 
     @cached_property
-    def _first(self) -> tuple[np.ndarray, Moments]:
-        """Entropy, (T,) float32, and moments if continuous (computed in the same pass)."""
-        entropy, moments = np.ones(self.count, np.float32), Moments({})
-        for span, tile, own in self._tiles(self._seen):
+    def _first(self) -> tuple[np.ndarray, CalibratedKernel | None]:
+        """Entropy, (T,) float32, and a kernel of the moments of all seen texels if calibrated."""
+        entropy, tiles = np.ones(self.count, np.float32), []
+        for span in self._spans(len(self._seen)):
             texels = self._seen[span]
-            entropy[texels] = tile.entropy(own)
-            if self.continuous:
-                self._keep(moments, texels, tile)
-                self._keep_widths(texels, tile)
+            tile, own = self.make(texels), np.arange(len(texels))
+            if isinstance(tile, CalibratedKernel):
+                tiles.append((tile.summary, tile.noise))
+                self._keep_ends(texels, tile)
+            else:
+                entropy[texels] = tile.entropy(own)
             self.report(span.stop, len(self._seen))
         dr.flush_malloc_cache()  # releases the statistics of the last tile
-        return entropy, moments
+        if not tiles:
+            return entropy, None
+        assert isinstance(self._one, CalibratedKernel)
+        whole = self.widened(self._one.of_tiles(tiles, self._seen))
+        entropy[self._seen] = whole.entropy(self._seen)
+        return entropy, whole
+
+    @property
+    def _whole(self) -> CalibratedKernel | None:
+        return self._first[1]
 
     @cached_property
     def _moments(self) -> Moments:
-        if self.continuous:
-            return self._first[1]
+        """Moments of a posterior on a grid, (T, g) each."""
         moments = Moments({})
-        for span, tile, _ in self._tiles(self._seen):
-            self._keep(moments, self._seen[span], tile)
+        for span, tile, own in self._tiles(self._seen):
+            for name in self.grid.axes:
+                found = tile.moments(name, own)
+                shape = (self.count, found[0].shape[1])
+                if name not in moments:
+                    moments[name] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+                for table, values in zip(moments[name], found, strict=True):
+                    table[self._seen[span]] = values
         return moments
 
-    def _keep(self, moments: Moments, texels: np.ndarray, tile: Kernel) -> None:
-        """Copy the moments of a tile's texels into the arrays ``moments`` of all texels."""
-        for name in self.grid.axes:
-            found = tile.moments(name, np.arange(len(texels)))
-            shape = (self.count, found[0].shape[1])
-            if name not in moments:
-                moments[name] = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-            for table, values in zip(moments[name], found, strict=True):
-                table[texels] = values
-
-    def _keep_widths(self, texels: np.ndarray, tile: Kernel) -> None:
-        """Cache half-widths of a sample of texels, so that photographs are not read again later."""
+    def _keep_ends(self, texels: np.ndarray, tile: CalibratedKernel) -> None:
+        """Cache intervals of a sample of texels, so that photographs are not read again later."""
         own = np.flatnonzero(np.isin(texels, self._sample, assume_unique=True))
         place = np.searchsorted(self._sample, texels[own])
         for name in self.grid.axes if len(own) else ():
-            kept = self._widths.setdefault(name, np.zeros(len(self._sample), np.float32))
-            kept[place] = tile.half_widths(name, LEVEL, own)
+            shape = (len(self._sample), 2, tile.channels_of(name))
+            kept = self._ends.setdefault(name, np.zeros(shape, np.float32))
+            kept[place] = np.stack(tile.own_ends(name, LEVEL, own), axis=1)
 
     @property
     def count(self) -> int:
@@ -176,12 +186,22 @@ class TiledKernel(Kernel):
             key = np.asarray(chosen, np.int64).tobytes()
             if key not in self._last:
                 self._last.clear()
-                self._last[key] = self.make(chosen)
+                self._last[key] = self._made(chosen)
             yield slice(0, len(chosen)), self._last[key], np.arange(len(chosen))
             return
-        for first in range(0, len(chosen), self.size):
-            span = slice(first, min(first + self.size, len(chosen)))
-            yield span, self.make(chosen[span]), np.arange(span.stop - span.start)
+        for span in self._spans(len(chosen)):
+            yield span, self._made(chosen[span]), np.arange(span.stop - span.start)
+
+    def _spans(self, count: int) -> Iterator[slice]:
+        for first in range(0, count, self.size):
+            yield slice(first, min(first + self.size, count))
+
+    def _made(self, texels: np.ndarray) -> Kernel:
+        """Return the kernel of (t,) texels, with their error bars."""
+        kernel, whole = self.make(texels), self._whole
+        if whole is None or not isinstance(kernel, CalibratedKernel):
+            return kernel
+        return kernel.widened_like(whole, texels)
 
     def _joined(
         self, chosen: np.ndarray, compute: Callable[[Any, np.ndarray], np.ndarray]

@@ -143,7 +143,7 @@ def nats_of_squares(sds: Table) -> Table:
 
 def texel_moments(posterior: Posterior[CalibratedKernel]) -> tuple[Table, Table]:
     """Return posterior means and sds, without the common factor of base colour."""
-    posterior = replace(posterior, kernel=posterior.kernel.without_common_scale())
+    posterior = replace(posterior, kernel=posterior.kernel.alone())
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
         for of in (posterior.mean, posterior.sd)
