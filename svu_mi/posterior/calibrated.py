@@ -262,30 +262,13 @@ class CalibratedKernel(Kernel):
         half = np.hypot((high - low) / 2, wide * middle)
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
-    def _stretched(
-        self, name: str, values: np.ndarray, texels: np.ndarray, channel: np.ndarray | None = None
-    ) -> np.ndarray:
+    def _stretched(self, name: str, values: np.ndarray, texels: np.ndarray) -> np.ndarray:
         """Return values (..., t, g) moved away from the mean by the factors of ``spread``."""
         if name not in self.spread:
             return values
         mean, sd = self._own_moments(name, texels)
         factor = self._factors(name, mean, sd, texels)
-        if channel is not None:
-            mean, factor = (np.take_along_axis(x, channel[:, None], axis=1) for x in (mean, factor))
         return np.clip(mean + factor * (values - mean), 0, 1)
-
-    def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals (see ``Kernel``)."""
-        problem = self.problem
-        alone = problem.factors.channels == 1 or problem.color_prior is not None or self._has_scale
-        if name != "base_color" or alone:
-            return super().half_widths(name, level, texels)
-        widest = self.moments(name, texels)[1].argmax(axis=1)
-        parts = uniform_axis(self.grid.axes[name], COLOR_PARTS)
-        (masses,) = kernel.color_masses(problem, parts, self.lane[texels], widest)
-        ends = shortest_interval(masses, parts, len(texels), level)
-        low, high = (self._stretched(name, np.array(end)[:, None], texels, widest) for end in ends)
-        return (high - low)[:, 0] / 2
 
     def _ends_of_nodes(self, name: str, level: float, lanes: np.ndarray) -> Pair:
         masses = kernel.node_masses(self.problem, name, lanes)

@@ -307,18 +307,12 @@ def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> An
 
 
 def color_masses(
-    problem: CalibratedProblem, parts: QuadratureAxis, chosen: np.ndarray,
-    channel: np.ndarray | None = None,
-) -> list[Any]:  # fmt: skip
-    """Return masses of K parts of base colour, for each channel (see ``node_masses``).
-
-    With ``channel``, (t,) int64, only this channel of each texel is integrated, and the prior of
-    base colour must be uniform.
-    """
+    problem: CalibratedProblem, parts: QuadratureAxis, chosen: np.ndarray
+) -> list[Any]:
+    """Return masses of K parts of base colour, for each channel (see ``node_masses``)."""
     edges = np.append(parts.low, parts.high[-1])
-    only = None if channel is None else to_drjit(mi.UInt32, channel.astype(np.uint32))
-    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), edges, only)
-    K, channels = parts.count, problem.factors.channels if only is None else 1
+    integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen), edges)
+    K, channels = parts.count, problem.factors.channels
 
     def visit(node: Node, masses: Any) -> tuple[Any]:
         for number, color in enumerate(node.colors):

@@ -43,15 +43,12 @@ class NodeIntegrator:
     """Integrator over the nodes of texels ``lane`` (UInt32, default: all S).
 
     ``edges`` are the edges of base colour bins (default: the grid's).
-    ``only``, UInt32, selects the channel to integrate in each texel, which requires a uniform prior
-    (default: all channels).
     """
 
     def __init__(
-        self, problem: CalibratedProblem, lane: Any | None = None, edges: np.ndarray | None = None,
-        only: Any | None = None,
-    ) -> None:  # fmt: skip
-        self.problem, self.nodes, self._only = problem, problem.nodes, only
+        self, problem: CalibratedProblem, lane: Any | None = None, edges: np.ndarray | None = None
+    ) -> None:
+        self.problem, self.nodes = problem, problem.nodes
         everything = dr.arange(mi.UInt32, problem.factors.count)
         self.lane = everything if lane is None else lane
         self.edges = problem.edges if edges is None else edges
@@ -212,24 +209,12 @@ class NodeIntegrator:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
             one = ColorIntegrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
-        if self._only is not None:
-            return self._node_of_one(row, column, weight, parts)
         edges = self.edges.tolist()
         colors = [ChannelLikelihood(*one).integrate(edges) for one in parts]
         for color in colors:
             for _ in range(self.problem.copies):
                 weight *= color.mass
         return Node(row, column, weight, colors)
-
-    def _node_of_one(self, row: Any, column: Any, weight: Any, parts: list[Any]) -> Node:
-        """Return a node with the bins of one channel (``only``), in single precision."""
-        for one in parts:
-            weight *= ChannelLikelihood(*one).integrate_masses([0.0, 1.0])[0] ** self.problem.copies
-        own = parts[0]
-        for number, other in enumerate(parts[1:], 1):
-            own = dr.select(self._only == number, other, own)
-        mass, bins = ChannelLikelihood(*own).integrate_masses(self.edges.tolist())
-        return Node(row, column, weight, [ColorIntegrals(mass, bins, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
         """Return each channel's prior density in each bin of ``edges``, given a node."""
