@@ -123,9 +123,6 @@ def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[A
 
 
 def _widened(posterior: Posterior, inputs: EstimatorInputs) -> Posterior:
-    """Return the posterior with wider error bars."""
-    if not inputs.test.spread:
-        return posterior
     return replace(posterior, kernel=_widened_kernel(posterior.kernel, inputs))
 
 

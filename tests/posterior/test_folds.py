@@ -20,6 +20,7 @@ from svu_mi.light.environment import read_environment
 from svu_mi.posterior.folds import cluster_directions, compared, folds_of, spread_factors
 from svu_mi.posterior.held_out_samples import HeldOutSamples, predict_samples
 from svu_mi.posterior.kept_results import pack_test, restore_test
+from svu_mi.posterior.neighbor_error import distance_from_neighbors
 from svu_mi.posterior.prediction import FoldTest, HeldOutPrediction, PartPrediction
 from svu_mi.posterior.support_error import support_error
 from svu_mi.posterior.tiled import TiledKernel
@@ -86,7 +87,7 @@ def test_equal_cameras_are_not_cut_into_folds():
 
 @pytest.mark.parametrize(
     ("views", "factor"),
-    [(12, np.sqrt(1.3 * 4)), (60, np.sqrt(1.3 * 4)), (3, 1.0), (6, np.sqrt(1 + 4.2 / 3))],
+    [(12, 2.0), (60, 2.0), (3, 1.0), (6, np.sqrt(1 + 3 / 3))],
 )
 def test_factor_of_means_that_change_twice_as_much_as_expected(views, factor):
     """The variance grows by .01 and means change by .2: r^2 = 4."""
@@ -136,18 +137,54 @@ def test_statistics_without_a_fold_are_those_of_the_other_photographs(capture, l
     np.testing.assert_allclose(sums.table()[..., : table.shape[-1]], table, rtol=1e-9, atol=1e-12)
 
 
+def from_neighbors(values, texels):
+    """Return distances of (t, g) values from the median of up to eight neighbours in the map."""
+    width = texels.resolution[0]
+    place = np.stack([texels.index.numpy() % width, texels.index.numpy() // width], axis=1)
+    place = place.astype(int)[: len(values)]
+    apart = np.abs(place[:, None] - place).max(axis=2)
+    return np.array([np.abs(own - np.median(values[near == 1], axis=0)) if (near == 1).any()
+                     else 0 * own for own, near in zip(values, apart, strict=True)])  # fmt: skip
+
+
+def test_edges_and_slopes_of_a_map_are_not_errors():
+    """A step, a slope and a spot of one texel, in a map of 12 x 9."""
+    x, y = np.meshgrid(np.arange(12), np.arange(9))
+    image = np.where(x < 6, 0.2, 0.6) + 0.0 * y
+    image[6:, 8] += 0.3
+    kept = np.random.default_rng(5).permutation(np.flatnonzero((x + y > 0).ravel()))
+    ramp = (0.01 * x + 0.02 * y).ravel()[kept]
+    found = distance_from_neighbors(np.stack([image.ravel()[kept], ramp], 1), kept, (12, 9))
+    place = np.stack([kept % 12, kept // 12], axis=1)
+    near = np.abs(place[:, None] - place).max(axis=2) == 1
+    expected = [np.abs(image.ravel()[t] - np.median(image.ravel()[kept[n]]))
+                for t, n in zip(kept, near, strict=True)]  # fmt: skip
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-6)
+    step = (place[:, 0] > 0) & (place[:, 0] < 11) & (place[:, 1] > 0) & (place[:, 1] < 5)
+    assert found[step, 0].max() < 1e-6
+    inner = step & (place.sum(axis=1) > 3)
+    assert found[inner, 1].max() < 1e-6
+    spot = found[(place[:, 0] == 8) & (place[:, 1] > 6), 0]
+    np.testing.assert_allclose(spot, 0.3, atol=1e-6)
+    alone = distance_from_neighbors(np.ones((1, 2)), np.array([3]), (12, 9))
+    np.testing.assert_array_equal(alone, 0)
+
+
 def test_means_stay_and_error_bars_are_multiplied(estimates):
     """Factors end where a texel's standard deviation reaches the prior's."""
     untested, tested = (e.posterior for e in estimates)
     texels = np.flatnonzero(tested.observed)
+    assert len(texels) == tested.count  # ``from_neighbors`` takes all texels
     prior_sd = {"roughness": 12**-0.5, "base_color": 12**-0.5, "metallic": np.sqrt(0.2 + 0.2 / 12)}
     for name in NAMES:
         before, after = (np.array(p.sd(name))[texels] for p in (untested, tested))
         mean = np.array(tested.mean(name))
         np.testing.assert_array_equal(mean, np.array(untested.mean(name)))
         mean, most = mean[texels], prior_sd[name]
-        blur = 5e-5 / np.maximum(mean, 0.1) ** 3 if name == "roughness" else 0
-        wide = np.sqrt((tested.kernel.spread[name] * before) ** 2 + blur**2)
+        blur = 2.5e-5 / np.maximum(mean, 0.1) ** 3 if name == "roughness" else 0
+        square = (tested.kernel.spread[name] * before) ** 2 + blur**2
+        apart = from_neighbors(mean.reshape(len(texels), -1), estimates[1].texels)
+        wide = np.sqrt(np.maximum(square, apart.reshape(mean.shape) ** 2 - square))
         factor = np.maximum(np.minimum(wide, most), before) / before
         np.testing.assert_allclose(after, factor * before, rtol=1e-3)
         low, high = (np.array(x)[texels] for x in tested.interval(name))
