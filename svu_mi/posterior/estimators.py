@@ -141,12 +141,10 @@ def _widened_kernel(kernel: CalibratedKernel, inputs: EstimatorInputs) -> Calibr
         light, up = observed.distant_light.environment, up_direction(observed.capture)
         support = support_error(light, up, normal, found=observed.plane is not None)
     index = dr.gather(mi.UInt32, texels.index, lanes).numpy().astype(np.int64)
-    apart = {
-        name: distance_from_neighbors(
-            kernel.moments(name, lanes.numpy())[0], index, texels.resolution
-        )
-        for name in kernel.grid.axes
-    }
+    shown, apart = kernel.problem.factors.views.numpy()[:, None] > 0, {}
+    for name in kernel.grid.axes:
+        means = np.where(shown, kernel.moments(name, lanes.numpy())[0], np.nan)
+        apart[name] = distance_from_neighbors(means, index, texels.resolution)
     return replace(kernel, spread=inputs.test.spread, support=support, apart=apart)
 
 

@@ -21,7 +21,7 @@ def distance_from_neighbors(
     """Return the distances of values from the median of their neighbours, (S, g) float32.
 
     Args:
-        values: (S, g) values of texels.
+        values: (S, g) values of texels; NaN for texels without one.
         index: (S,) row-major places of the texels in the map.
         resolution: size (W, H) of the map.
 
@@ -43,5 +43,5 @@ def distance_from_neighbors(
         ordered = np.sort(image[around], axis=0)  # NaN last
         count = np.isfinite(ordered).sum(axis=0)
         middle = [np.take_along_axis(ordered, k[None] // 2, axis=0)[0] for k in (count - 1, count)]
-        result[:] = np.where(count > 0, np.abs(own - (middle[0] + middle[1]) / 2), 0)
+        result[:] = np.nan_to_num(np.abs(own - (middle[0] + middle[1]) / 2))
     return distances
