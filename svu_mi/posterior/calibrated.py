@@ -256,7 +256,7 @@ class CalibratedKernel(Kernel):
     def widened_ends(self, name: str, level: float, ends: Pair, texels: np.ndarray) -> Pair:
         """Return the ends of intervals, given those of ``own_ends``."""
         low, high = (self._stretched(name, end, texels) for end in ends)
-        if name != "base_color" or not self._has_scale:
+        if name != "base_color" or not (any(self.common) or self.support is not None):
             return low, high
         middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._scale(texels)
         half = np.hypot((high - low) / 2, wide * middle)
@@ -311,22 +311,18 @@ class CalibratedKernel(Kernel):
     def of_tiles(
         self, tiles: Sequence[tuple[kernel.PosteriorSummary, np.ndarray]], texels: np.ndarray
     ) -> CalibratedKernel:
-        """Return a kernel of the moments, noise and entropy of ``texels`` (S,) of several tiles.
+        """Return a kernel whose moments, noise and entropy are those of the tiles' ``texels``.
 
-        Tiles are their summaries and noise; only these are correct in the result.
+        ``tiles`` are summaries and noise.
         """
-        values = zip(*(vars(summary).values() for summary, _ in tiles), strict=True)
-        joined = [
-            [dr.concat(list(row)) for row in zip(*of_tiles, strict=True)]
-            if isinstance(of_tiles[0], list) else dr.concat(list(of_tiles))
-            for of_tiles in values
-        ]  # fmt: skip
+        summaries, noise = zip(*tiles, strict=True)
+        mean, sd = ([dr.concat(list(x)) for x in zip(*rows, strict=True)] for rows in (
+            [one.mean for one in summaries], [one.sd for one in summaries]))  # fmt: skip
+        entropy = dr.concat([one.entropy for one in summaries])
+        summary = replace(self.summary, entropy=entropy, mean=mean, sd=sd)
         factors = replace(self.problem.factors, texel=to_drjit(mi.UInt32, texels.astype(np.uint32)))
-        return replace(
-            self, problem=replace(self.problem, factors=factors),
-            noise=np.concatenate([noise for _, noise in tiles]),
-            summary=kernel.PosteriorSummary(*joined),
-        )  # fmt: skip
+        problem = replace(self.problem, factors=factors)
+        return replace(self, problem=problem, noise=np.concatenate(noise), summary=summary)
 
     def widened_like(self, other: CalibratedKernel, texels: np.ndarray) -> CalibratedKernel:
         """Return the kernel with the error bars of ``texels`` of another, in the same order."""
@@ -339,10 +335,6 @@ class CalibratedKernel(Kernel):
     def alone(self) -> CalibratedKernel:
         """Return the kernel of texels by themselves: no common scale, no neighbours."""
         return replace(self, common=(0.0, 0.0, 0.0), apart={})
-
-    @property
-    def _has_scale(self) -> bool:
-        return any(self.common) or self.support is not None
 
     def _scale(self, texels: np.ndarray) -> np.ndarray:
         """Return the standard deviation of the log of the scale of base colours, (t, g) or (g,)."""

@@ -107,7 +107,7 @@ def statistics_posterior(
     )  # fmt: skip
     seen = observed_by("estimate()", factors, copies, count)
     posterior = posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
-    return _widened(posterior, inputs)
+    return replace(posterior, kernel=_widened(posterior.kernel, inputs))
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
@@ -122,11 +122,7 @@ def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[A
     return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
 
 
-def _widened(posterior: Posterior, inputs: EstimatorInputs) -> Posterior:
-    return replace(posterior, kernel=_widened_kernel(posterior.kernel, inputs))
-
-
-def _widened_kernel(kernel: CalibratedKernel, inputs: EstimatorInputs) -> CalibratedKernel:
+def _widened(kernel: CalibratedKernel, inputs: EstimatorInputs) -> CalibratedKernel:
     """Return the kernel of texels of the capture with wider error bars.
 
     By the test by folds, by neighbours, and by what the object may stand on.
@@ -201,7 +197,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
         kernel = TiledKernel(
             grid=inputs.grid, observed=observed, report=stage.update,
             make=lambda texels: _of_tile(inputs, switches, texels).kernel,
-            widened=lambda kernel: _widened_kernel(kernel, inputs),
+            widened=lambda kernel: _widened(kernel, inputs),
         )  # fmt: skip
         tiled = Posterior(kernel=kernel, observed=observed)
         tiled.entropy()
@@ -234,7 +230,7 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
     known = [part for part in rounded if part is not None]  # either all tiles have one, or none
     rounding = np.concatenate(known) if known else None
     posterior = _posterior(inputs, switches, factors, rounding, seen.texels.count)
-    return _widened(posterior, inputs)
+    return replace(posterior, kernel=_widened(posterior.kernel, inputs))
 
 
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:

@@ -24,13 +24,6 @@ def distance_from_neighbors(
         values: (S, g) values of texels; NaN for texels without one.
         index: (S,) row-major places of the texels in the map.
         resolution: size (W, H) of the map.
-
-    Example:
-        >>> from svu_mi.posterior.neighbor_error import distance_from_neighbors
-        >>> distance_from_neighbors(np.array([[1.0], [5.0], [2.0]]), np.arange(3), (3, 1))
-        array([[4. ],
-               [3.5],
-               [3. ]], dtype=float32)
     """
     width, height = resolution
     place = (index // width + 1) * (width + 2) + index % width + 1  # in a map with a border

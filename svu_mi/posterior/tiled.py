@@ -39,7 +39,7 @@ class TiledKernel(Kernel):
 
     grid: Grid
     observed: np.ndarray
-    make: Callable[[np.ndarray], Kernel] = field(repr=False)
+    make: Callable[[np.ndarray], Any] = field(repr=False)
     widened: Callable[[CalibratedKernel], CalibratedKernel] = field(repr=False)
     size: int = AT_WORK
     report: Callable[[int, int], None] = field(default=lambda *_: None, repr=False)
@@ -67,7 +67,7 @@ class TiledKernel(Kernel):
         return (self._whole or self._one).spread
 
     @cached_property
-    def _one(self) -> Kernel:
+    def _one(self) -> Any:
         """Kernel of one texel, for properties that do not depend on the texel."""
         return self.make(self._seen[:1])
 
@@ -138,7 +138,6 @@ class TiledKernel(Kernel):
         dr.flush_malloc_cache()  # releases the statistics of the last tile
         if not tiles:
             return entropy, None
-        assert isinstance(self._one, CalibratedKernel)
         whole = self.widened(self._one.of_tiles(tiles, self._seen))
         entropy[self._seen] = whole.entropy(self._seen)
         return entropy, whole
@@ -198,10 +197,8 @@ class TiledKernel(Kernel):
 
     def _made(self, texels: np.ndarray) -> Kernel:
         """Return the kernel of (t,) texels, with their error bars."""
-        kernel, whole = self.make(texels), self._whole
-        if whole is None or not isinstance(kernel, CalibratedKernel):
-            return kernel
-        return kernel.widened_like(whole, texels)
+        made = self.make(texels)
+        return made.widened_like(self._whole, texels) if self._whole else made
 
     def _joined(
         self, chosen: np.ndarray, compute: Callable[[Any, np.ndarray], np.ndarray]
