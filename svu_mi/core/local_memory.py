@@ -5,6 +5,7 @@ block whether the index is uniform (a load) or not (a gather). Groups of four nu
 as Vector4f, which is three times as fast in divergent lanes.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -41,6 +42,22 @@ def store(memory: list[Any], index: Any, block: Block) -> None:
     """Write a block at ``index``."""
     for slot, value in zip(memory, block, strict=True):
         slot[index] = value
+
+
+def filled(number: int, read: Callable[[Any], Block]) -> list[Any]:
+    """Return local memory with ``number`` blocks of Floats, those of ``read(index)``.
+
+    It is filled in a loop: Dr.Jit 1.5 unrolls an initial value. The loop's end is a literal: with
+    an opaque one, Dr.Jit 1.5 reuses a kernel of another size.
+    """
+
+    def fill(k: Any, memory: list[Any]) -> tuple[Any, Any]:
+        store(memory, k, read(k))
+        return k + 1, memory
+
+    start = (mi.UInt32(0), allocate(mi.Float, len(read(mi.UInt32(0))), number))
+    memory: list[Any] = dr.while_loop(start, lambda k, _: k < number, fill)[1]
+    return memory
 
 
 def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:

@@ -10,7 +10,7 @@ w b^2. The radiance of the row is linear in c with slope a; b is its residual at
 are computed from the grid's cell masses.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
@@ -188,25 +188,15 @@ class Colors:
     def _integrate(self, channel: ChannelLikelihood, place: Any) -> tuple[Any, Any, Any, Any]:
         """Return mass, entropy of cells, mean and variance of a channel's colour."""
         edges, K = self.edges.tolist(), len(self.edges) - 1
-        density, least = None, 0.0
+        density, certain = None, True
         if self.given is not None:
-            least = self.given.min()
-            given = to_drjit(mi.Float, self.given)
+            given, certain = to_drjit(mi.Float, self.given), bool(self.given.min() > FULL_SUPPORT)
             density = [dr.gather(mi.Float, given, place * K + k) for k in range(K)]
         if self.nodes is not None:
             integrals = _sum_over_nodes(channel, self.nodes.tolist(), density or [1.0] * K)
-            mass = integrals.mass
-        elif density is None:
-            # Mean and variance in double precision; Dr.Jit omits them where they are unused.
-            integrals = channel.integrate(edges)
-            mass, bins = channel.integrate_masses(edges)
-            integrals = replace(integrals, mass=mass, bins=bins)
-        elif least > FULL_SUPPORT:
-            log_mass, integrals = channel.integrate_full_support(edges, density)
-            mass = dr.exp(log_mass)
         else:
-            log_mass, integrals = channel.integrate_with_prior(edges, density)
-            mass = dr.exp(log_mass)
+            integrals = channel.integrate(edges, density, certain)
+        mass = integrals.mass * dr.exp(integrals.log_scale)
         nats = -sum(p * dr.log(dr.maximum(p, 1e-30)) for p in integrals.bins)
         return mass, nats, integrals.mean, integrals.variance
 

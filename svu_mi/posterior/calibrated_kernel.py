@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.core.local_memory import allocate, load, scatter_strided, store
+from svu_mi.core.local_memory import filled, load, scatter_strided, store
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.node_integration import Node, NodeIntegrator
@@ -362,18 +362,8 @@ def draw(
 
 
 def zeroed_memory(number: int, arrays: int = 1) -> list[Any]:
-    """Return arrays of local memory, cleared in a loop (Dr.Jit 1.5 unrolls an initial value).
-
-    The loop's end is a literal: with an opaque one, Dr.Jit 1.5 reuses a kernel of another size.
-    """
-
-    def clear(k: Any, memory: list[Any]) -> tuple[Any, Any]:
-        store(memory, k, [mi.Float(0)] * arrays)
-        return k + 1, memory
-
-    start = (mi.UInt32(0), allocate(mi.Float, arrays, number))
-    memory: list[Any] = dr.while_loop(start, lambda k, _: k < number, clear)[1]
-    return memory
+    """Return arrays of local memory, cleared."""
+    return filled(number, lambda _: [mi.Float(0)] * arrays)
 
 
 def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:

@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
+from svu_mi.core.local_memory import filled, load
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
 from svu_mi.reflection.principled import Mixture, mixture
@@ -49,10 +50,16 @@ class NodeIntegrator:
         self, problem: CalibratedProblem, lane: Any | None = None, edges: np.ndarray | None = None
     ) -> None:
         self.problem, self.nodes = problem, problem.nodes
-        everything = dr.arange(mi.UInt32, problem.factors.count)
-        self.lane = everything if lane is None else lane
+        self.lane = dr.arange(mi.UInt32, problem.factors.count) if lane is None else lane
         self.edges = problem.edges if edges is None else edges
-        self._reader = problem.factors.reader(self.lane)
+        reader, (rows, columns, bins) = problem.factors.reader(self.lane), problem.shape
+        # In local memory, reading at an index that lanes share costs no gather.
+        self._factors = filled(problem.factors.levels, lambda k: sum(reader.entries(k), []))
+        if problem.color_prior is not None:
+            number, prior = problem.tables * bins, problem.color_prior
+            self._densities = filled(rows * columns, lambda k: [
+                dr.gather(mi.Float, prior, k * number + place) for place in range(number)
+            ])  # fmt: skip
         self._scale = dr.gather(mi.Float, problem.scale, self.lane)
         self._min_energy = dr.gather(mi.Float, problem.min_energy, self.lane)
         self._columns = dr.opaque(mi.UInt32, problem.mixed.count)
@@ -106,10 +113,11 @@ class NodeIntegrator:
         levels = [dr.gather(mi.UInt32, self.nodes.levels, place) for place in places]
         weights = [dr.gather(mi.Float, self.nodes.weights, place) for place in places]
         factors = []
-        for near in zip(*(self._reader.entries(level) for level in levels), strict=True):
+        entries = [load(self._factors, level) for level in levels]
+        for first in range(0, len(entries[0]), len(PAIRS)):
             U = [
-                self._scale * sum(w * U[k] for w, U in zip(weights, near, strict=True))
-                for k in range(len(PAIRS))
+                self._scale * sum(w * U[k] for w, U in zip(weights, entries, strict=True))
+                for k in range(first, first + len(PAIRS))
             ]
             # This entry is a square, but the spline can be negative between levels.
             U[FLOOR] = dr.maximum(U[FLOOR], 0) * self._scale
@@ -138,12 +146,16 @@ class NodeIntegrator:
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
         """Return the smaller of ``best`` and energy - log prior - ``min_energy`` of a node."""
+
+        def with_colors(energy: Any, parts: list[Any], _: Any) -> Any:
+            colors = self._colors(row, column, parts)
+            return energy - self.problem.copies * sum(c.log_scale + dr.log(c.mass) for c in colors)
+
         energy, parts = self._channels(U, row, column)
         if self.problem.color_prior is not None and not self._color_is_known:
             energy = dr.if_stmt(
                 args=(energy, parts, best), cond=energy - self._max_log_prior < best,
-                true_fn=lambda energy, parts, _: self._colors(row, column, energy, parts)[0],
-                false_fn=lambda _energy, _parts, best: best,
+                true_fn=with_colors, false_fn=lambda _energy, _parts, best: best,
             )  # fmt: skip
         return dr.minimum(energy, best)
 
@@ -162,7 +174,7 @@ class NodeIntegrator:
             low, high = mi.Float(0), mi.Float(1)
             if prior is not None:
                 table = prior[k // problem.copies]
-                _, integrals = channel.integrate_with_prior(problem.edges.tolist(), table)
+                integrals = channel.integrate_with_prior(problem.edges.tolist(), table)
                 bin_index = _sample_index(integrals.bins, v)
                 low, high = (dr.gather(mi.Float, ends, bin_index + step) for step in (0, 1))
             colors.append(channel.quantile(u, low, high))
@@ -179,19 +191,12 @@ class NodeIntegrator:
         energy = self.problem.copies * sum(one.min_energy for one in channels)
         return prior + energy, [(c.min_energy, c.mirrored, c.mu, c.s) for c in channels]
 
-    def _colors(
-        self, row: Any, column: Any, energy: Any, parts: list[Any]
-    ) -> tuple[Any, list[ColorIntegrals]]:
-        """Return the energy of a node with its colour prior, and the colour integrals."""
-        density, edges = self._color_prior(row, column), self.edges.tolist()
-        assert density is not None
-        integrate = ChannelLikelihood.integrate_with_prior
-        if self.problem.has_full_support:
-            integrate = ChannelLikelihood.integrate_full_support
-        colors = [integrate(ChannelLikelihood(*c), edges, g)
-                  for c, g in zip(parts, density, strict=True)]  # fmt: skip
-        log_masses, integrals = zip(*colors, strict=True)
-        return energy - self.problem.copies * sum(log_masses), list(integrals)
+    def _colors(self, row: Any, column: Any, parts: list[Any]) -> list[ColorIntegrals]:
+        """Return the colour integrals of a node."""
+        density = self._color_prior(row, column)
+        certain = density is None or self.problem.has_full_support
+        return [ChannelLikelihood(*one).integrate(self.edges.tolist(), g, certain)
+                for one, g in zip(parts, density or len(parts) * [[]], strict=True)]  # fmt: skip
 
     @property
     def _color_is_known(self) -> bool:
@@ -201,20 +206,14 @@ class NodeIntegrator:
         return mixture(*(values.at(column) for values in self.nodes.columns))
 
     def _node(self, row: Any, column: Any, energy: Any, parts: list[Any]) -> Node:
-        if not self._color_is_known and self.problem.color_prior is not None:
-            energy, colors = self._colors(row, column, energy, parts)
-            return Node(row, column, dr.exp(-energy), colors)
-        weight = dr.exp(-energy)
         if self._color_is_known:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
             one = ColorIntegrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
-            return Node(row, column, weight, [one] * self.problem.factors.channels)
-        edges = self.edges.tolist()
-        colors = [ChannelLikelihood(*one).integrate(edges) for one in parts]
-        for color in colors:
-            for _ in range(self.problem.copies):
-                weight *= color.mass
-        return Node(row, column, weight, colors)
+            return Node(row, column, dr.exp(-energy), [one] * self.problem.factors.channels)
+        colors, copies = self._colors(row, column, parts), self.problem.copies
+        mass = dr.prod([color.mass for color in colors])
+        scale = copies * sum(color.log_scale for color in colors)
+        return Node(row, column, dr.exp(scale - energy) * mass**copies, colors)
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
         """Return each channel's prior density in each bin of ``edges``, given a node."""
@@ -223,16 +222,11 @@ class NodeIntegrator:
             return None
         _, columns, bins = problem.shape
         place = dr.gather(mi.UInt32, nodes.row, row) * columns
-        place = (place + dr.gather(mi.UInt32, nodes.column, column)) * (problem.tables * bins)
+        place = place + dr.gather(mi.UInt32, nodes.column, column)
         middle = (self.edges[1:] + self.edges[:-1]) / 2
         own = np.searchsorted(problem.edges, middle) - 1
-        tables = [
-            [
-                dr.gather(mi.Float, problem.color_prior, place + k)
-                for k in range(first, first + bins)
-            ]
-            for first in range(0, problem.tables * bins, bins)
-        ]
+        row = load(self._densities, place)
+        tables = [row[k : k + bins] for k in range(0, len(row), bins)]
         of_channels = tables if problem.tables > 1 else tables * problem.factors.channels
         return [[density[k] for k in own] for density in of_channels]
 

@@ -11,48 +11,73 @@ To avoid cancellation, densities are relative to the best colour in [0, 1], and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import pi, sqrt
+from math import ceil, log, pi, sqrt
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 FLATTEST = 1e-3  # minimum of A, for unlit channels; changes energies by less than this
 HALVINGS = 24  # steps of the bisection in quantile()
 TINIEST = 1e-290  # minimum mass of a bin in double precision
 IMPOSSIBLE = 1e9  # energy of a bin that the prior excludes [nats]
-FULL_SUPPORT = 1e-4  # minimum density of a colour prior for integrate_full_support()
-DIM = 0.1  # s below which integrate_full_support() assumes uniform density within bins
-CLEAR, FAR_BELOW = 1.0, 1.5  # single precision is sufficient if s >= CLEAR and mu s >= -FAR_BELOW
+FULL_SUPPORT = 1e-4  # minimum density of a colour prior for integrate()
+SMOOTH = 0.7  # s^2 (1 - mu) below which integrands are smooth
+PIECES = 7  # of [0, 1], in which two quadrature nodes suffice for a smooth integrand
+FAR_BELOW = 0.6  # minimum of mu s for differences of error functions
+REACH = 11.0  # 2^-x^2 is negligible at larger x
 FARTHEST = 64.0  # maximum |mu|: photographs that are brighter than a white surface by this factor
 
-# (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
-# Laframboise (Math. Comp. 36, 1981); Chebyshev fits, relative errors 1.6e-7 and 1e-12.
-ERFCX = (
-    1.2648380554, -0.122357465774, -0.099017999679, 0.157644294808, -0.103020474189,
-    0.0326775700704, 0.00108657996229, -0.00418024663031, 0.00030354285549, 0.00040548891917,
+# Polynomials, by weighted least squares: 2^x for |x| <= 1/2; erfcx(sqrt(log 2) x), with an error
+# below 2e-7 2^(x^2); and (x + 1/4) r(x) in (x - 2) / (x + 2), r of ``_outside``.
+POWER = 1.00000007, 0.69314697, 0.2402212, 0.05550713, 0.00967554, 0.00132765
+TAIL = (
+    1.0, -0.939428033, 0.692955935, -0.4327471239, 0.2354003931, -0.1104685932, 0.04264138649,
+    -0.01254934501, 0.002555709377, -0.0003134506325, 1.718556386e-05,
 )  # fmt: skip
-ERFCX_DOUBLE = (
-    1.26483818436801, -0.122356763086159, -0.0990245397634645, 0.157629919247801,
-    -0.102967050851091, 0.0327608893344342, 0.000931837865431351, -0.00438204709633272,
-    0.000492160485354527, 0.000631990592585308, -8.93817069541888e-05, -0.000113189294556504,
-    7.93627204572544e-06, 2.22092552718139e-05, 7.07805010310119e-07, -3.81455090580475e-06,
-    -2.70927566092853e-07, 3.89145816370728e-07,
+FRACTION = (
+    0.8807060897, 0.4148052202, -0.350906424, -0.04465307649, 0.1098794152, 0.03233579384,
+    -0.03956578059, -0.01564258519, 0.01304287005,
+)  # fmt: skip
+# (1 + 2 x) erfcx(x) in (x - 2.5) / (x + 2.5), the variable of Shepherd and Laframboise (Math. Comp.
+# 36, 1981); a Chebyshev fit, relative error 1e-12.
+ERFCX = (
+    1.26483818436801, -0.122356763086159, -0.0990245397634645, 0.157629919247801, -0.1029670508511,
+    0.0327608893344342, 0.00093183786543135, -0.00438204709633272, 0.00049216048535453,
+    0.00063199059258531, -8.938170695419e-05, -0.00011318929455650, 7.93627204573e-06,
+    2.220925527181e-05, 7.0780501031e-07, -3.81455090581e-06, -2.7092756609e-07, 3.8914581637e-07,
 )  # fmt: skip
 
 
 def erfcx(x: Any) -> Any:
-    """Return exp(x^2) erfc(x) for x >= 0: Float or Float64."""
-    coefficients = ERFCX if type(x) is mi.Float else ERFCX_DOUBLE
+    """Return exp(x^2) erfc(x) for x >= 0: Float64."""
     wide, scale = x + 2.5, dr.fma(2, x, 1)
     inverse = dr.rcp(wide * scale)  # one division for both quotients
-    t = (x - 2.5) * scale * inverse
+    return _polynomial(ERFCX, (x - 2.5) * scale * inverse) * wide * inverse
+
+
+def exp2(x: Any) -> Any:
+    """Return 2^x for |x| < 126, Float of relative error 2e-7, in half the time of ``dr.exp2``."""
+    shifted = x + 1.5 * 2**23  # the last bits are x, rounded
+    value = _polynomial(POWER, x - (shifted - 1.5 * 2**23))
+    exponent = dr.reinterpret_array(mi.UInt32, shifted) << 23
+    return dr.reinterpret_array(mi.Float, dr.reinterpret_array(mi.UInt32, value) + exponent)
+
+
+def _clipped(low: float, x: Any, high: float) -> Any:
+    """Clip x: two instructions (``dr.clip``, which hands NaN on, takes a dozen)."""
+    x = dr.select(x > low, x, low)
+    return dr.select(x < high, x, high)
+
+
+def _polynomial(coefficients: Sequence[float], x: Any) -> Any:
     value = type(x)(coefficients[-1])
     for coefficient in coefficients[-2::-1]:
-        value = dr.fma(value, t, coefficient)
-    return value * wide * inverse
+        value = dr.fma(value, x, coefficient)
+    return value
 
 
 @dataclass(frozen=True)
@@ -83,106 +108,105 @@ class ChannelLikelihood:
         energy = 0.5 * (_dot(rest, rest) + floor)
         return ChannelLikelihood(energy, mirrored, slope / A, dr.sqrt(0.5 * A))
 
-    def integrate(self, edges: list[float]) -> ColorIntegrals:
-        """Integrate over bins of (K + 1,) symmetric ``edges`` in [0, 1], under a uniform prior."""
-        # With x = (y - mu) s, exp(-(E - min_energy)) = exp(x_0^2 - x^2); x_0 is the best colour.
-        inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
-        first, last, whole, mean, variance = self._as_precise(ChannelLikelihood._whole)
-        inverse, beyond = dr.rcp(whole), [first, *inner, last]
-        parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        mass = 0.5 * sqrt(pi) * whole / self.s
-        return self._integrals(mass, parts, mean, variance)
+    def integrate(
+        self, edges: list[float], prior: list[Any] | None = None, certain: bool = True
+    ) -> ColorIntegrals:
+        """Integrate over bins of (K + 1,) symmetric ``edges`` in [0, 1].
 
-    def _as_precise(self, moments: Callable[..., tuple[Any, ...]], *args: Any) -> tuple[Any, ...]:
-        """Return ``moments(self, type, *args)``, in double precision only in lanes that need it."""
+        ``prior`` are K Floats, the density of c in each bin (default: 1); with ``certain``, they
+        are above FULL_SUPPORT.
+        """
+        if prior and not certain:
+            return self.integrate_with_prior(edges, prior)
+        density = prior or [mi.Float(1)] * (len(edges) - 1)
 
-        def of(kind: Any) -> Callable[..., tuple[Any, ...]]:
-            return lambda mu, s, *rest: moments(replace(self, mu=mu, s=s), kind, *rest)
+        def of(integrate: Callable[..., Any]) -> Callable[..., Any]:
+            return lambda mu, s, *g: integrate(replace(self, mu=mu, s=s), edges, g)
 
-        hard = (self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW)
-        return dr.if_stmt((self.mu, self.s, *args), hard, of(mi.Float64), of(mi.Float))  # type: ignore[no-any-return]
+        def curved(mu: Any, s: Any, *g: Any) -> Any:
+            inside, outside = of(ChannelLikelihood._inside), of(ChannelLikelihood._outside)
+            return dr.if_stmt((mu, s, *g), mu * s > -FAR_BELOW, inside, outside)
 
-    def _whole(self, kind: Any) -> tuple[Any, ...]:
-        """Return the tails above y = 0 and y = 1, their difference, and mean and variance of y."""
-        first, last = self._tail(kind(0)), self._tail(kind(1))
-        whole = first.beyond - last.beyond
-        mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
-        return tuple(mi.Float(x) for x in (first.beyond, last.beyond, whole, mean, variance))
+        smooth = dr.square(self.s) * (1 - self.mu) < SMOOTH
+        args = self.mu, self.s, *density
+        mass, mean, variance, *bins = dr.if_stmt(args, smooth, of(ChannelLikelihood._flat), curved)
+        return ColorIntegrals(mass, bins, mean, variance)
 
-    def integrate_masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
-        """Return the mass and each bin's fraction, in single precision (relative error 1e-5)."""
-        beyond = [self._tail(mi.Float(y)).beyond for y in edges]
-        whole = beyond[0] - beyond[-1]
-        inverse = dr.rcp(whole)
-        parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        return 0.5 * sqrt(pi) * whole / self.s, list(self._turned(parts))
+    def _flat(self, edges: list[float], density: Sequence[Any]) -> tuple[Any, ...]:
+        """Integrate by Gauss-Legendre quadrature, with two nodes in each piece of a bin."""
+        first, scale, least = self._reach()
+        masses, mean, square = [], mi.Float(0), mi.Float(0)
+        for a, b, g in zip(edges[:-1], edges[1:], density, strict=True):
+            pieces = ceil(PIECES * (b - a) - 1e-6)
+            middle = a + (b - a) * (np.arange(pieces) + 0.5) / pieces
+            half, mass = (b - a) / (2 * pieces), mi.Float(0)
+            for c in np.concatenate([middle - half / sqrt(3), middle + half / sqrt(3)]).tolist():
+                t = dr.fma(scale, c, first)
+                part = half * g * exp2(dr.fma(-t, t, least))
+                mass += part
+                mean, square = dr.fma(part, c, mean), dr.fma(part, c * c, square)
+            masses.append(mass)
+        total = sum(masses)
+        return _normalized(total, masses, total, mean, square)
 
-    def weighted_masses(self, edges: list[float], prior: list[Any]) -> tuple[Any, ColorIntegrals]:
-        """Integrate as ``integrate_full_support``, in single precision and without moments."""
-        beyond = [self._tail(mi.Float(y)).beyond for y in edges]
-        # Rounding can make the difference of two tails negative.
-        parts = [dr.maximum(a - b, 0) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        masses = [g * part for g, part in zip(prior, self._turned(parts), strict=True)]
-        total, zero = dr.maximum(sum(masses), 1e-30), mi.Float(0)
+    def _inside(self, edges: list[float], density: Sequence[Any]) -> tuple[Any, ...]:
+        """Integrate by differences of error functions; mean and variance by parts."""
+        first, scale, least = self._reach()
+        last = dr.select(self.mirrored, scale * self.mu, scale * (1 - self.mu))
+        reach = [first, *(dr.fma(scale, c, first) for c in edges[1:-1]), last]
+        reach = [_clipped(-REACH, t, REACH) for t in reach]
+        bells = [exp2(-t * t) for t in reach]
+        below = [dr.mulsign(dr.fma(-bell, _polynomial(TAIL, dr.abs(t)), 1), t)
+                 for bell, t in zip(bells, reach, strict=True)]  # fmt: skip
+        masses = [g * dr.select(b > a, b - a, 0)
+                  for g, a, b in zip(density, below[:-1], below[1:], strict=True)]  # fmt: skip
+        slope, around, before = mi.Float(0), mi.Float(0), mi.Float(0)
+        for g, bell, t in zip([*density, mi.Float(0)], bells, reach, strict=True):
+            step = bell * (g - before)
+            slope, around, before = slope + step, dr.fma(step, t, around), g
+        total, width = sum(masses), dr.rcp(self.s)
         inverse = dr.rcp(total)
-        bins = [inverse * x for x in masses]
-        log_mass = dr.log(0.5 * sqrt(pi) * total / self.s)
-        return log_mass, ColorIntegrals(mi.Float(1), bins, zero, zero)
+        unit = inverse * width / sqrt(pi)
+        offset = unit * slope
+        mean = dr.select(self.mirrored, 1 - self.mu, self.mu) + offset
+        variance = width * (0.5 * width + sqrt(log(2)) * unit * around) - dr.square(offset)
+        mass = 0.5 * sqrt(pi) * total * width * exp2(least)
+        bins = [inverse * part for part in masses]
+        return mass, mean, dr.select(variance > 0, variance, 0), *bins
 
-    def integrate_full_support(
-        self, edges: list[float], prior: list[Any]
-    ) -> tuple[Any, ColorIntegrals]:
-        """Integrate as ``integrate_with_prior``, 5 x faster, for priors above FULL_SUPPORT.
+    def _outside(self, edges: list[float], density: Sequence[Any]) -> tuple[Any, ...]:
+        """Integrate a normal distribution whose mean is far below y = 0, by tails.
 
-        Dr.Jit omits the moments, which are in double precision, where they are unused.
+        Beyond x, the mean of t - x is e = 1 / (2 (x + r)), that of its square is e r, and
+        erfcx(x) = 1 / (sqrt(pi) (x + e)); r = 1 / (x + 3/2 / (x + ...)) is a continued fraction.
         """
-        log_mass, masses = self.weighted_masses(edges, prior)
-        inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
-        around = [(tail.beyond, tail.density) for tail in inner]
-        turned = list(self._turned(prior))
-        mean, variance = self._as_precise(ChannelLikelihood._weighted, around, turned, edges)
-        moments = self._integrals(masses.mass, [], mean, variance)
-        return log_mass, replace(moments, bins=masses.bins)
+        scale = sqrt(1 / log(2)) * self.s
+        nearest, width, own = scale * self.mu, dr.rcp(self.s), list(self._turned(density))
+        tails, mean, square, before = [], mi.Float(0), mi.Float(0), mi.Float(0)
+        for y, g in zip(edges, [*own, mi.Float(0)], strict=True):
+            x, u = self.s * (y - self.mu), scale * y
+            inverse = dr.rcp((x + 0.25) * (x + 2))
+            r = _polynomial(FRACTION, (x - 2) * (x + 0.25) * inverse) * (x + 2) * inverse
+            e = 0.5 * dr.rcp(x + r)
+            tail = exp2(_clipped(-125, u * (2 * nearest - u), 0)) * dr.rcp(x + e)
+            step, before, e = (g - before) * tail, g, e * width
+            mean = dr.fma(step, y + e, mean)
+            square = dr.fma(step, y * y + e * (2 * y + r * width), square)
+            tails.append(tail)
+        masses = [g * dr.select(a > b, a - b, 0)
+                  for g, a, b in zip(own, tails[:-1], tails[1:], strict=True)]  # fmt: skip
+        total = sum(masses)
+        mass, mean, variance, *bins = _normalized(0.5 * width * total, masses, total, mean, square)
+        return mass, dr.select(self.mirrored, 1 - mean, mean), variance, *self._turned(bins)
 
-    def _weighted(
-        self, kind: Any, inner: list[tuple[Any, Any]], prior: list[Any], edges: list[float]
-    ) -> tuple[Any, ...]:
-        """Return mean and variance of y for a prior of the bins of y.
+    def _reach(self) -> tuple[Any, Any, Any]:
+        """Return t at c = 0, its slope in c, and t^2 of the best colour: the density is 2^-t^2."""
+        scale = sqrt(1 / log(2)) * self.s
+        first = -scale * dr.select(self.mirrored, 1 - self.mu, self.mu)
+        return first, scale, dr.square(scale * dr.minimum(self.mu, 0))
 
-        ``inner`` are tails and densities at the inner edges.
-        """
-        first, last = self._tail(kind(0)), self._tail(kind(1))
-        beyond = [first.beyond, *(kind(tail) for tail, _ in inner), last.beyond]
-        density = [first.density, *(kind(x) for _, x in inner), last.density]
-        s, mu = kind(self.s), kind(self.mu)
-        masses, offset, around = [], kind(0), kind(0)
-        for k, g in enumerate(prior):
-            weight = kind(g)
-            masses.append(weight * dr.maximum(beyond[k] - beyond[k + 1], 0))
-            offset = dr.fma(weight, density[k] - density[k + 1], offset)
-            low, high = (edges[k + end] - mu for end in (0, 1))
-            around = dr.fma(weight, low * density[k] - high * density[k + 1], around)
-        total = dr.maximum(sum(masses), TINIEST if kind is mi.Float64 else 1e-30)
-        scale = dr.rcp(sqrt(pi) * s * total)
-        mean = dr.clip(mu + scale * offset, 0, 1)
-        variance = dr.maximum(0.5 / dr.square(s) + scale * around - dr.square(scale * offset), 0)
-        if kind is mi.Float64:
-            # Variance of a uniform density within bins, for small s.
-            ends = list(zip(edges[:-1], edges[1:], strict=True))
-            even = sum(
-                mass / total * (dr.square(0.5 * (a + b) - mean) + (b - a) ** 2 / 12)
-                for mass, (a, b) in zip(masses, ends, strict=True)
-            )
-            variance = dr.select(self.s < DIM, even, variance)
-        return mi.Float(mean), mi.Float(variance)
-
-    def integrate_with_prior(
-        self, edges: list[float], prior: list[Any]
-    ) -> tuple[Any, ColorIntegrals]:
-        """Return the log integral of exp(min_energy - E) times the prior, and bin fractions.
-
-        ``prior`` are K Floats, the density of c in each bin; it can contradict the likelihood.
-        """
+    def integrate_with_prior(self, edges: list[float], prior: list[Any]) -> ColorIntegrals:
+        """Integrate as ``integrate``, slowly, for priors that can contradict the likelihood."""
         density = [mi.Float64(weight) for weight in self._turned(prior)]
         of_bins = [self._bin(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         logs = [
@@ -199,9 +223,14 @@ class ChannelLikelihood:
         variance = sum(
             p * (v + dr.square(m - mean)) for p, (_, m, v) in zip(parts, of_bins, strict=True)
         )
-        log_mass = top + dr.log(0.5 * sqrt(pi) * total / mi.Float64(self.s))
-        parts = [mi.Float(part) for part in parts]
-        return mi.Float(log_mass), self._integrals(mi.Float(1), parts, mean, variance)
+        mean = mi.Float(dr.clip(mean, 0, 1))
+        return ColorIntegrals(
+            mass=mi.Float(1),
+            bins=list(self._turned([mi.Float(part) for part in parts])),
+            mean=dr.select(self.mirrored, 1 - mean, mean),
+            variance=mi.Float(variance),
+            log_scale=mi.Float(top + dr.log(0.5 * sqrt(pi) * total / mi.Float64(self.s))),
+        )
 
     def quantile(self, part: Any, low: Any, high: Any) -> Any:
         """Return the quantile ``part`` of c, restricted to [low, high], by bisection."""
@@ -232,51 +261,43 @@ class ChannelLikelihood:
         best, best_of_all = dr.clip(mu, low, high), dr.maximum(mu, 0)
         mass, a, b = self._between(mi.Float64(low), mi.Float64(high), best)
         mass = dr.maximum(mass, TINIEST)
-        mean, variance = _moments(mu, s, mass, a, b)
+        scale = dr.rcp(sqrt(pi) * s * mass)
+        offset = scale * (a - b)
+        variance = 0.5 / dr.square(s) + scale * ((low - mu) * a - (high - mu) * b)
+        variance = dr.maximum(variance - dr.square(offset), 0)
         worse = (best - best_of_all) * dr.square(s) * (best + best_of_all - 2 * mu)
-        return dr.log(mass) - worse, dr.clip(mean, low, high), variance
+        return dr.log(mass) - worse, dr.clip(mu + offset, low, high), variance
 
-    def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, _Tail, _Tail]:
-        """Return the integral over [low, high] relative to density at ``best``, and both tails."""
-        a, b = self._tail(low, best), self._tail(high, best)
+    def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, Any, Any]:
+        """Return the integral over [low, high], and the densities at its ends, all relative to the
+        density at ``best``."""
+        (a, below), (b, above) = self._tail(low, best), self._tail(high, best)
         left, right = (y < mi.Float64(self.mu) for y in (low, high))
-        mass = dr.select(
-            right, b.outward - a.outward,
-            dr.select(left, 2 - a.outward - b.outward, a.outward - b.outward),
-        )  # fmt: skip
+        mass = dr.select(right, above - below, dr.select(left, 2 - below - above, below - above))
         return mass, a, b
 
-    def _turned(self, values: list[Any]) -> Iterator[Any]:
+    def _turned(self, values: Sequence[Any]) -> Iterator[Any]:
         """Yield the values of bins, in reverse order where ``mirrored``."""
         for a, b in zip(values, values[::-1], strict=True):
             yield dr.select(self.mirrored, b, a)
 
-    def _integrals(self, mass: Any, parts: list[Any], mean: Any, variance: Any) -> ColorIntegrals:
-        mean = mi.Float(dr.clip(mean, 0, 1))
-        return ColorIntegrals(
-            mass=mass,
-            bins=list(self._turned(parts)),
-            mean=dr.select(self.mirrored, 1 - mean, mean),
-            variance=mi.Float(variance),
-        )
-
-    def _tail(self, y: Any, best: Any | None = None) -> _Tail:
-        """Return density and tails at y, relative to the density at ``best``."""
-        kind = type(y)
-        mu, s = kind(self.mu), kind(self.s)
-        best = dr.maximum(mu, 0) if best is None else best
+    def _tail(self, y: Any, best: Any) -> tuple[Any, Any]:
+        """Return the density at y, relative to that at ``best``, and 2 / sqrt(pi) times its
+        integral over x away from the mean."""
+        mu, s = mi.Float64(self.mu), mi.Float64(self.s)
         x, x_0 = (y - mu) * s, (best - mu) * s
         density = dr.exp(-(y - best) * s * (x + x_0))
-        outward = density * erfcx(dr.abs(x))
-        return _Tail(y, density, outward, dr.select(x < 0, 2 - outward, outward))
+        return density, density * erfcx(dr.abs(x))
 
 
-def _moments(mu: Any, s: Any, mass: Any, a: _Tail, b: _Tail) -> tuple[Any, Any]:
-    """Return mean and variance of y between two ends a and b."""
-    scale = dr.rcp(sqrt(pi) * s * mass)
-    offset = scale * (a.density - b.density)
-    around = 0.5 / dr.square(s) + scale * ((a.y - mu) * a.density - (b.y - mu) * b.density)
-    return mu + offset, dr.maximum(around - dr.square(offset), 0)
+def _normalized(
+    mass: Any, masses: list[Any], total: Any, mean: Any, square: Any
+) -> tuple[Any, ...]:
+    """Return mass, mean, variance and fractions of bins from sums over [0, 1]."""
+    inverse = dr.rcp(total)
+    mean *= inverse
+    variance = dr.maximum(dr.fma(inverse, square, -dr.square(mean)), 0)
+    return mass, mean, variance, *(inverse * part for part in masses)
 
 
 @dataclass(frozen=True)
@@ -284,7 +305,7 @@ class ColorIntegrals:
     """Integrals of one channel's likelihood.
 
     Attributes:
-        mass: Float, integral of exp(-(E - min_energy)) over [0, 1].
+        mass: Float, integral of exp(-(E - min_energy) - log_scale) over [0, 1].
         bins: K Floats, fraction of the mass in each bin.
         mean, variance: Floats, mean and variance of c.
     """
@@ -293,17 +314,7 @@ class ColorIntegrals:
     bins: list[Any]
     mean: Any
     variance: Any
-
-
-@dataclass(frozen=True)
-class _Tail:
-    """Density at y, and 2 / sqrt(pi) times its integrals over x: from y in the direction away
-    from the mean (``outward``), and from y to infinity (``beyond``)."""
-
-    y: Any
-    density: Any
-    outward: Any
-    beyond: Any
+    log_scale: Any = 0.0
 
 
 def _dot(a: list[Any], b: list[Any]) -> Any:

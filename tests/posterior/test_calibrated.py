@@ -122,8 +122,6 @@ def test_erfcx() -> None:
     from scipy.special import erfcx as exact
 
     x = np.concatenate([np.linspace(0, 8, 5000), np.geomspace(8, 1e6, 1000)])
-    single = np.array(erfcx(mi.Float(x.astype(np.float32))), np.float64)
-    assert np.abs(single / exact(x.astype(np.float32).astype(float)) - 1).max() < 1e-6
     assert np.abs(np.array(erfcx(mi.Float64(x))) / exact(x) - 1).max() < 1e-9
 
 
@@ -161,14 +159,11 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     assert np.abs(np.sqrt(np.array(integrals.variance, float)) - sd).max() < 1e-5
     cells = [integral(a, b, 0) / whole for a, b in zip(edges[:-1], edges[1:], strict=True)]
     assert np.abs(np.array([np.array(x) for x in integrals.bins]) - cells).max() < 1e-5
-    mass, parts = likelihood.integrate_masses(edges.tolist())
-    assert np.abs(np.array(mass) / whole - 1).max() < 2e-5
-    assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5
     prior = [0.1, 2.0, 0.5, 1.0, 1.5, 0.01, 1.0, 3.0]
-    log_mass, weighted = likelihood.weighted_masses(edges.tolist(), [mi.Float(g) for g in prior])
+    weighted = likelihood.integrate(edges.tolist(), [mi.Float(g) for g in prior])
     expected = np.array(prior)[:, None] * cells
     total = expected.sum(axis=0)
-    assert np.abs(np.exp(np.array(log_mass)) / (whole * total) - 1).max() < 5e-4
+    assert np.abs(np.array(weighted.mass) / (whole * total) - 1).max() < 5e-4
     assert np.abs(np.array([np.array(x) for x in weighted.bins]) - expected / total).max() < 5e-4
 
 
