@@ -60,13 +60,6 @@ size = ["--views", "12", "--resolution", "96", "--spp", "16"]
 with contextlib.redirect_stdout(io.StringIO()):
     main(["scenes", "vase"])
     main(["render", "scenes/vase/vase.xml", *size, "-D", "light=window", "-o", "capture"])
-capture = svu.load_capture("capture")
-texels = svu.texels(capture.mesh, 64)
-estimate = svu.estimate(capture, texels)
-recovery = svu.recover(estimate)
-options = svu.LightOptions(texels=100, depths=((64, 2),), moves=False)
-gains = svu.estimate_gains(capture, texels, options)
-light = svu.estimate_light(capture, texels, options)
 """
 doctest_global_cleanup = "os.chdir('/')"
 

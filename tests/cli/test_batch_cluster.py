@@ -52,7 +52,7 @@ def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
 
 @pytest.mark.slow
 def test_captures_are_tasks_of_a_cluster(client, shot, tmp_path):
-    """Results equal those of a local batch; a second run does nothing."""
+    """Results equal those of the command; a second run does nothing."""
     for name in ("a", "b", "broken"):
         folder = shutil.copytree(shot, tmp_path / "shelf" / name)
         record = json.loads((folder / "capture.json").read_text())
@@ -62,12 +62,13 @@ def test_captures_are_tasks_of_a_cluster(client, shot, tmp_path):
     words = ("batch", tmp_path / "shelf", "--steps", "entropy", "--resolution", SIDE)
     there = (*words, "--scheduler", client.scheduler.address, "-o", tmp_path / "there")
     assert run(*there) == 1
-    assert run(*words, "-o", tmp_path / "here") == 1
+    here = ("entropy", tmp_path / "shelf" / "a", "--resolution", SIDE, "--no-pictures")
+    assert run(*here, "-o", tmp_path / "here") == 0
+    expected = read_exr(tmp_path / "here" / "entropy.exr")
     for name in ("a", "b"):
-        both = [read_exr(tmp_path / where / name / "entropy" / "entropy.exr")
-                for where in ("here", "there")]  # fmt: skip
-        for channel, plane in both[0].items():
-            np.testing.assert_array_equal(both[1][channel], plane)
+        found = read_exr(tmp_path / "there" / name / "entropy" / "entropy.exr")
+        for channel, plane in expected.items():
+            np.testing.assert_array_equal(found[channel], plane)
     table = (tmp_path / "there" / "index.csv").read_text()
     assert "view_0005.exr" in table and table.count("\n") == 4
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "there").rglob("entropy.exr")}

@@ -14,11 +14,12 @@ import svu_mi as svu
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu selects a variant
 
-SIZE = ("--resolution", 24)
+SIZE, PLAIN = ("--resolution", 24), "--no-pictures"  # pages draw the maps that are compared
 COMMANDS = {
-    "entropy": (*SIZE, "-o", "entropy"), "recover": (*SIZE, "--steps", 5, "-o", "textures"),
-    "guide": (*SIZE, "--candidates", 5, "--add", 1, "-o", "next"),
-    "inpaint": ("--recovered", "textures", "-o", "filled"),
+    "entropy": (*SIZE, PLAIN, "-o", "entropy"),
+    "recover": (*SIZE, PLAIN, "--steps", 5, "-o", "textures"),
+    "guide": (*SIZE, PLAIN, "--candidates", 5, "--add", 1, "-o", "next"),
+    "inpaint": ("--recovered", "textures", PLAIN, "-o", "filled"),
     "report": ("--recovered", "textures", "-o", "report.html"),
 }  # fmt: skip
 

@@ -47,7 +47,7 @@ class RefinedPoses:
             decreases, cameras are not moved.
 
     Example:
-        >>> refined = svu.refine_poses(capture)
+        >>> refined = svu.refine_poses(svu.load_capture("capture", views=[0, 4, 8]))
         >>> len(refined.moved) == capture.count, refined.sentence()[:20]
         (True, 'Cameras were off by ')
     """
