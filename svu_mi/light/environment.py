@@ -211,13 +211,13 @@ def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
     """Evaluate SH in polar-frame directions (N, 3): (N, (degree + 1)^2)."""
     legendre = associated_legendre(np.clip(polar[:, 2], -1, 1), degree)
     azimuth = np.arctan2(polar[:, 1], polar[:, 0])
-    result = np.zeros((len(polar), (degree + 1) ** 2))
-    for l in range(degree + 1):
-        result[:, l * l + l] = legendre[l, 0]
-        for m in range(1, l + 1):
-            result[:, l * l + l + m] = np.sqrt(2) * legendre[l, m] * np.cos(m * azimuth)
-            result[:, l * l + l - m] = np.sqrt(2) * legendre[l, m] * np.sin(m * azimuth)
-    return result
+    result = np.zeros(((degree + 1) ** 2, len(polar)))
+    for m in range(degree + 1):
+        l = np.arange(m, degree + 1)
+        scaled = legendre[m:, m] * (np.sqrt(2) if m else 1)
+        result[l * l + l - m] = scaled * np.sin(m * azimuth)
+        result[l * l + l + m] = scaled * np.cos(m * azimuth)
+    return np.ascontiguousarray(result.T)
 
 
 def associated_legendre(x: np.ndarray, degree: int) -> np.ndarray:
