@@ -17,6 +17,7 @@ import svu_mi  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
 VARIANT = os.environ.get("SVU_TEST_VARIANT", "llvm_ad_rgb")  # cuda_ad_rgb: all of it on a GPU
+LONGEST = "tests/test_docs", "tests/test_notebooks", "tests/test_pipeline"
 MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
@@ -30,9 +31,9 @@ quick_kernels.use()
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark all but some cases of a test slow where it asks for that (``few``); sort files.
 
-    A file is one worker's, so the one that takes longest goes first: at the end, others would wait.
+    A file is one worker's, so those that take longest go first: at the end, others would wait.
     """
-    items.sort(key=lambda item: "test_notebooks" not in item.nodeid)
+    items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         if VARIANT.startswith("cuda") and item.get_closest_marker("forks"):
