@@ -259,14 +259,15 @@ def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.nda
     K -= np.diag(D)
     d = module.NARROW * np.median(np.diag(K))
     apart = np.linalg.solve(K + d * np.eye(len(K)), d * np.abs(field.values - field.own_mean)[row])
-    square = (inverse @ (1 / field.deviation[row])) ** 2 + module.DISAGREEMENT * apart**2
+    alone = (inverse @ (1 / field.deviation[row])) ** 2
+    square = alone + module.DISAGREEMENT * apart**2
     seen = np.isfinite(field.variation[row])
     i, j = np.nonzero((K < -1e-9) & seen & seen[:, None])  # neighbours
     place, x0 = np.array(field.texels.position, np.float64), field.values[row]
     slope = np.abs(x0[i] - x0[j]).sum() / np.linalg.norm(place[:, i] - place[:, j], axis=0).sum()
-    most = (0.2 * field.texels.extent * slope) ** 2
-    limit = np.minimum(1, 0.25**2 + most / (most + square))
-    return np.sqrt(np.where(seen, square * limit, square))
+    most = (0.14 * field.texels.extent * slope) ** 2
+    limit = 0.4**2 * alone + square * most / (most + square)
+    return np.sqrt(np.where(seen, np.minimum(square, limit), square))
 
 
 @pytest.mark.slow

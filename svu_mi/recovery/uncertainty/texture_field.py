@@ -15,8 +15,8 @@ of variance 1. A b is the standard deviation after smoothing if all errors are c
 second term of c^2 averages |x0 - m| over a small neighbourhood (d is constant).
 
 Errors that neighbours share differ between places, and x0 varies with them. If x0 varies by v over
-``REACH`` (mean slope of seen texels), c^2 is thus reduced to c^2 min(1, f^2 + v^2 / (c^2 + v^2)),
-where f is the share that the whole object may have in common. Flat textures have small v.
+``REACH`` (mean slope of seen texels), c^2 is thus reduced to (f A b)^2 + c^2 v^2 / (c^2 + v^2) at
+most, where f is the share that the whole object may have in common. Flat textures have small v.
 
 Values x are clipped to [0, 1]; their standard deviations are enlarged to compensate for that.
 """
@@ -64,9 +64,9 @@ from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 # rho, correlated fraction of the variance of a seen texel. Metallic (MIXED) is fully correlated:
 # an ambiguity between metal and paint affects a whole neighbourhood.
 COMMON, COMMON_MIXED = 0.5, 1.0
-DISAGREEMENT, DISAGREEMENT_MIXED = 1.2, 2.4  # a
+DISAGREEMENT, DISAGREEMENT_MIXED = 1.5, 4.0  # a
 NARROW = 0.1  # d, relative to the median of K's diagonal
-REACH, SHARED = 0.2, 0.25  # distance of v, relative to the object's extent; f
+REACH, SHARED = 0.14, 0.4  # distance of v, relative to the object's extent; f
 LENGTH = 0.1  # correlation length of g, relative to the object's extent
 INTERVAL_MASS = 0.9
 TINY = 1e-9
@@ -183,13 +183,15 @@ class TextureField:
     @cached_property
     def _coherent_sd(self) -> np.ndarray:
         """Correlated standard deviation c, (N, T)."""
-        schema = {"sd": Field("f8", self.deviation.shape, 0, np.inf)}
-        sd = self.cache.recall(
+        schema = dict.fromkeys(("left", "apart"), Field("f8", self.deviation.shape, 0, np.inf))
+        solved = self.cache.recall(
             "field", self._inputs() if self.cache.folder else [], self._solved,
-            lambda sd: {"sd": sd}, lambda arrays: checked(arrays, schema, closed=True)["sd"],
+            lambda arrays: arrays, lambda arrays: checked(arrays, schema, closed=True),
         )  # fmt: skip
-        varies = 1 / (1 + np.square(sd / self.variation))
-        return sd * np.sqrt(np.minimum(1, SHARED**2 + varies))
+        left, a = np.square(solved["left"]), _by_row(DISAGREEMENT, DISAGREEMENT_MIXED)
+        square = left + a * np.square(solved["apart"])
+        varies = 1 / (1 + square / np.square(self.variation))
+        return np.sqrt(np.minimum(square, SHARED**2 * left + square * varies))
 
     def _inputs(self) -> list[Any]:
         """Return everything that the correlated standard deviation depends on."""
@@ -198,7 +200,8 @@ class TextureField:
         arrays = [np.array(each) for each in (texels.index, *links, *matrix.around)]
         return [*texels.resolution, *arrays, self.deviation, self.values, self.own_mean]
 
-    def _solved(self) -> np.ndarray:
+    def _solved(self) -> dict[str, np.ndarray]:
+        """Return A b, and S |x0 - m|, (N, T) each."""
         left = self._nested.solve(1 / self.deviation)
         # Values spread over a few texels only (d is large), so coarser levels are not needed.
         links = np.median(self.smoother.links, axis=1, keepdims=True)
@@ -206,8 +209,7 @@ class TextureField:
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own_mean))
         if self.texels.count > TILE:
             dr.flush_malloc_cache()  # free the temporary memory of the solver
-        a = _by_row(DISAGREEMENT, DISAGREEMENT_MIXED)
-        return np.sqrt(left**2 + a * np.maximum(apart, 0) ** 2)
+        return {"left": np.maximum(left, 0), "apart": np.maximum(apart, 0)}
 
     @cached_property
     def sds(self) -> np.ndarray:
