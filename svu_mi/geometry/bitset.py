@@ -62,15 +62,6 @@ class Bits:
         taken = dr.gather(mi.UInt32, lanes, place % count) + place // count * self.stride
         return Bits(dr.gather(mi.UInt32, self.words, taken), count, self.last)
 
-    def joined(self, other: Bits) -> Bits:
-        """Append the lanes of another bit set with the same number of bits per lane."""
-        rows = [
-            bits.words.numpy().reshape(-1, max(int(bits.stride[0]), 1)) for bits in (self, other)
-        ]
-        words = np.concatenate(rows, axis=1)
-        stride = dr.opaque(mi.UInt32, words.shape[1])
-        return Bits(to_drjit(mi.UInt32, words.ravel()), stride, self.last)
-
     def without(self, groups: Sequence[np.ndarray]) -> Bits:
         """Return all S lanes once for each group, with the group's bits set to 0.
 

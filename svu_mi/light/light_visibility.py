@@ -47,13 +47,6 @@ class LightVisibility:
             dr.gather(mi.UInt32, self.texel, chosen),
         )  # fmt: skip
 
-    def joined(self, other: LightVisibility) -> LightVisibility:
-        """Append the lanes of another visibility with the same cells."""
-        texel = to_drjit(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
-        return LightVisibility(
-            self.tree, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
-        )
-
     def diffuse(self, surface: TexelLanes, lighting: Lighting, channels: int) -> list[list[Any]]:
         """Return the diffuse moments of the visible light: 8 Floats (S,) per channel.
 

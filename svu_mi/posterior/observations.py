@@ -330,19 +330,26 @@ class Observed:
         texels: np.ndarray | None = None,
     ) -> ReflectionModel:  # fmt: skip
         """Return the reflection model of texels (default: ``seen``) at (R,) roughness levels."""
+        if texels is not None and (self.lane[texels] < 0).any():  # their light was not traced
+            return self.subset(texels).model(roughness, switches, channels)
+        if texels is not None and np.array_equal(texels, self.seen):
+            texels = None
+
+        def part_of(light: Any) -> Any:
+            return light if texels is None or light is None else light.subset(self.lane[texels])
+
         surface, visibility = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
-            visibility = self._visibility_of(texels, switches)
+            cells = self.light_visibility(switches.cells, occluded=switches.occluded)
+            visibility = part_of(cells)
         mirrored, fitted = self.mirrored(switches.fit, channels, texels), None
         if mirrored is not None:
             fitted = ShLobes.of(mirrored, alpha_from_roughness(roughness), switches)
         if not switches.traced:
             _ = self.lighting  # refuses lamps
         light = IncidentLight(
-            self.distant_light, visibility, channels,
-            self._near_light_of(texels, switches, surface),
-            self._lamps_of(texels, switches, surface),
-            self.flash,
+            self.distant_light, visibility, channels, part_of(self.near_light(switches)),
+            part_of(self.lamps(switches)), self.flash,
         )  # fmt: skip
         return ReflectionModel.of(surface, light, roughness, switches, fitted)
 
@@ -420,45 +427,6 @@ class Observed:
 
     def _lanes(self, texels: np.ndarray) -> TexelLanes:
         return TexelLanes.of(self.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
-
-    def _near_light_of(
-        self, texels: np.ndarray | None, switches: AngularPreset, surface: TexelLanes
-    ) -> NearLight | None:
-        """Return the near light of texels; trace it if some are not in ``seen``."""
-        if texels is None or not self.lit_by_surfaces(switches):
-            return self.near_light(switches)
-        lanes = self.lane[texels]
-        if (lanes < 0).any():
-            return self._trace_near_light(switches, surface)
-        near = self.near_light(switches)
-        return near and near.subset(lanes)
-
-    def _lamps_of(
-        self, texels: np.ndarray | None, switches: AngularPreset, surface: TexelLanes
-    ) -> Lamps | None:
-        """Return the light of lamps at texels; trace it if some are not in ``seen``."""
-        lanes = np.zeros(0, int) if texels is None else self.lane[texels]
-        if (lanes < 0).any() and (lamps := lamps_of(self.capture.scene)):
-            return trace_lamps(self.views.scene, lamps, surface, occluded=switches.occluded)
-        known = self.lamps(switches)
-        return known if texels is None else known and known.subset(lanes)
-
-    def _visibility_of(self, texels: np.ndarray | None, switches: AngularPreset) -> LightVisibility:
-        """Return the light visibility of texels; trace it for texels that are not in ``seen``."""
-        known = self.light_visibility(switches.cells, occluded=switches.occluded)
-        if texels is None or np.array_equal(texels, self.seen):
-            return known
-        lanes = self.lane[texels]
-        new = lanes < 0
-        if new.any():
-            others = self._lanes(texels[new])
-            known = known.joined(
-                trace_light_visibility(
-                    self.views.scene, others, known.tree, occluded=switches.occluded
-                )
-            )
-            lanes[new] = len(self.seen) + np.arange(int(new.sum()))
-        return known.subset(lanes)
 
 
 def observe(
