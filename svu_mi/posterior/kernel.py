@@ -122,11 +122,9 @@ class Kernel(ABC):
         return found
 
     def half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
-        """Return half the widths of intervals, (t,), of the most uncertain channel."""
+        """Return half the widths of intervals, (t,), of the channel whose interval is widest."""
         low, high = self.ends(name, level, texels)
-        half = (high - low) / 2
-        widest = 0 if half.shape[1] == 1 else self.moments(name, texels)[1].argmax(axis=1)
-        return half[np.arange(len(half)), widest]
+        return np.asarray((high - low).max(axis=1) / 2)
 
     def channels_of(self, name: str) -> int:
         """Return the number of channels g of a parameter."""

@@ -280,8 +280,8 @@ class Posterior(Generic[K]):
     def half_width(self, name: str, level: float = 0.9, chosen: Any | None = None) -> Any:
         """Return half the width of ``interval``, TensorXf (t,).
 
-        Of three channels, the one with the largest standard deviation is used. Arguments and errors
-        are as for ``interval``.
+        Of three channels, the one with the widest interval is used. Arguments and errors are as for
+        ``interval``.
         """
         texels, low, high = self._allowed(name, level, chosen)
         half, seen = (high - low).max(axis=1) / 2, self.observed[texels]
