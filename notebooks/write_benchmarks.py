@@ -160,12 +160,14 @@ def verdicts(record: Record) -> list[Row]:
 
 
 def reflections(record: Record) -> list[Row]:
-    """Return the PSNR and intervals of roughness, metallic and base colour for each light."""
+    """Return PSNR and intervals of the parameters, and errors of radiance, for each light."""
     names = dict.fromkeys(name for case in record["cells"] for name in case["rows"])
     found = {name: rows_of(record, name) for name in names}
     return [
         [name, *(" / ".join(f"{mean(row[f'{what} {key}'] for row in rows):{form}}" for key in "rmc")
-                 for what, form in (("psnr", ".1f"), ("interval", ".2f")))]
+                 for what, form in (("psnr", ".1f"), ("interval", ".2f"))),
+         " / ".join(f"{100 * mean(row[f'radiance {key}'] for row in rows):.1f} %"
+                    for key in ("median", "rms") if f"radiance {key}" in rows[0])]
         for name, rows in found.items()
     ]  # fmt: skip
 
@@ -376,8 +378,10 @@ SECTIONS = (
         "Tables, bounces and lamps",
         "Posterior means and 90 % intervals in photographs of direct light, of all bounces, on tables, "
         "and under four area lights: PSNR, and share of intervals with the truth, of roughness, "
-        "metallic and base colour.",
+        "metallic and base colour. Radiance of the model with the true textures is compared with path "
+        "tracing.",
         {"reflected": reflections},
+        heads=("photographs", "PSNR", "90 % intervals", "error of radiance: median / rms"),
     ),
     Section(
         "Refined poses",

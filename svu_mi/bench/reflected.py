@@ -1,7 +1,8 @@
 """``svu bench reflected``: textures under light of tables, of the object itself, and of lamps.
 
 Posterior means and 90 % intervals of the preset ``default``, compared with the true textures, in
-photographs of direct light, of all bounces, on tables, and under four area lights.
+photographs of direct light, of all bounces, on tables, and under four area lights. The radiance of
+the model is compared with path tracing (``radiance_error``).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
 from svu_mi.bench.posterior_scores import JUDGED, posterior_figures
+from svu_mi.bench.radiance_error import radiance_error
 from svu_mi.bench.spoiled_captures import box_of, on_table, photographed, with_table
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
@@ -32,6 +34,7 @@ from svu_mi.presets import preset
 SIZES: dict[str, Any] = {"views": 24, "film": 192, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
 TEXELS, QUICK_TEXELS = 96, 32  # per side
+QUICK_PATHS = 100, 64  # pairs, and paths of each
 DEPTH = "6"  # of photographs with all bounces
 GREY, BLACK = (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 # Directions of four square area lights and their radiance, three radii from the object.
@@ -88,8 +91,8 @@ class ReflectedCase(CaseSubject):
         capture = replace(self.direct, scene=make_scene([direct, self.direct.shape, *lamps]))
         return photographed(capture, repeat(capture.scene), self.photographs["spp"])
 
-    def figures(self, capture: Capture, *, bounces: bool = False) -> Record:
-        """Return the scores of the posterior of a capture."""
+    def figures(self, capture: Capture, *, bounces: bool = False, known: bool = True) -> Record:
+        """Return the scores of the posterior, and of radiance if the light is ``known``."""
         layout = texels(capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
         chosen = preset("default", method="angular", bounces=bounces)
         found = estimate(capture, layout, preset=chosen)
@@ -97,16 +100,18 @@ class ReflectedCase(CaseSubject):
         seen = seen[evenly_spaced(len(seen), JUDGED)]
         truth = {name: np.asarray(x)[seen] for name, x in parameters_at(capture, layout).items()}
         predicted = found.prediction and found.prediction.r2
-        return {**posterior_figures(found.posterior, truth, seen), "r2": predicted}
+        scores = {**posterior_figures(found.posterior, truth, seen), "r2": predicted}
+        sizes = QUICK_PATHS if self.bench.quick else ()
+        return {**scores, **(radiance_error(found.observed, chosen, *sizes) if known else {})}
 
 
 ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
     "direct light": lambda case: case.figures(case.direct),
-    "all bounces, ignored": lambda case: case.figures(case.bounced),
+    "all bounces, ignored": lambda case: case.figures(case.bounced, known=False),
     "all bounces": lambda case: case.figures(case.bounced, bounces=True),
     "black table": lambda case: case.figures(case.on_known_table(BLACK)),
     "grey table, ignored": lambda case: case.figures(
-        on_table(case.direct, GREY, case.photographs["spp"])
+        on_table(case.direct, GREY, case.photographs["spp"]), known=False
     ),
     "grey table": lambda case: case.figures(case.on_known_table(GREY), bounces=True),
     "four lamps": lambda case: case.figures(case.under_lamps),
@@ -137,7 +142,7 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def _number(title: str, key: str, places: int) -> Column:
-    return Column(title, lambda line: line[key], digits(places))
+    return Column(title, lambda line: line.get(key), digits(places))
 
 
 SHOWN = (
@@ -146,6 +151,8 @@ SHOWN = (
     *(_number(f"PSNR {key}", f"psnr {key}", 1) for key in "rmc"),
     *(_number(f"90 % {key}", f"interval {key}", 2) for key in "rmc"),
     _number("R^2", "r2", 2),
+    _number("radiance: median error", "radiance median", 3),
+    _number("rms", "radiance rms", 3),
 )
 
 

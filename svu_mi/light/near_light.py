@@ -3,6 +3,7 @@
 It varies slowly over directions. Above each texel, its radiance L and the hidden part H (1 where a
 ray hits something) are expanded into spherical harmonics in the frame of the normal. Both are
 mirrored below the horizon, which makes them smooth there: only coefficients with even l + m remain.
+They exclude the object as photographed, which each lobe samples by rays (``NearLobes``).
 """
 
 from __future__ import annotations
@@ -72,15 +73,18 @@ def ray_count(texels: int) -> int:
 
 
 def trace_near_light(
-    scene: Any, integrator: Any, surface: TexelLanes, rays: int, seed: int = 0
+    scene: Any, integrator: Any, surface: TexelLanes, rays: int, shown: bool = False
 ) -> NearLight:
-    """Trace rays to other surfaces, whose radiance ``integrator`` returns."""
+    """Trace rays to other surfaces, whose radiance ``integrator`` returns.
+
+    If the object is ``shown`` as photographed, its radiance is in the moments only.
+    """
     count, sampler = surface.count, mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), count)
+    sampler.seed(dr.opaque(mi.UInt32, 0), count)
     number, frame = dr.opaque(mi.UInt32, rays), mi.Frame3f(surface.normal)
     step, turn = dr.rcp(mi.Float(number)), sampler.next_1d()
     origin = surface.position + surface.offset * surface.geometric_normal
-    glowing = mi.ShapePtr(scene.shapes()[0])  # the object (``surroundings``)
+    target = scene.shapes()[0]  # the object (``surroundings``)
 
     def add(ray: Any, sampler: Any, *sums: Any) -> tuple[Any, ...]:
         # A Fibonacci lattice on the hemisphere, turned and jittered for each texel.
@@ -93,15 +97,20 @@ def trace_near_light(
         toward = mi.RayDifferential3f(origin, world)
         up = dr.dot(surface.geometric_normal, world) > 0
         met = scene.ray_intersect_preliminary(toward, active=up)
-        hidden = up & met.is_valid()
+        hidden, own = up & met.is_valid(), met.shape == mi.ShapePtr(target)
+        glow = mi.Color3f(0)
+        if shown:
+            place = met.compute_surface_interaction(toward, mi.RayFlags.UV, hidden & own)
+            glow = target.emitter().eval(place, hidden & own)
+            hidden &= dr.max(glow) <= 0
         # Lamps are sampled directly (``lamps``).
-        shines = hidden & (~met.shape.is_emitter() | (met.shape == glowing))
+        shines = hidden & (~met.shape.is_emitter() | own)
         color, _, _ = integrator.sample(scene, sampler, toward, None, shines)
         color = dr.select(shines & dr.all(dr.isfinite(color)), color, 0)
         basis = dr.sh_eval(local, DEGREE)
         expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
         added = [2 * value * basis[index] for value in expanded for index in EVEN]
-        for value in color:
+        for value in color + glow:
             added += diffuse_moments(value, z, world)
         return (ray + 1, sampler, *(a + b for a, b in zip(sums, added, strict=True)))
 
@@ -112,4 +121,4 @@ def trace_near_light(
     values = scatter_strided(dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes)
     moments = [sums[first : first + MOMENTS] for first in range(size, len(sums), MOMENTS)]
     dr.eval(values, moments)
-    return NearLight(values, moments, lanes)
+    return NearLight(values, moments, lanes, scene if shown else None)

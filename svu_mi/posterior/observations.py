@@ -290,8 +290,8 @@ class Observed:
             shown = self.appearance(switches) if switches.bounces else None
             self._of_light[key] = surroundings(self.capture, shown)
         scene, integrator = self._of_light[key]
-        near = trace_near_light(scene, integrator, surface, ray_count(surface.count))
-        return replace(near, shown=scene) if switches.bounces else near
+        rays = ray_count(surface.count)
+        return trace_near_light(scene, integrator, surface, rays, switches.bounces)
 
     def appearance(self, switches: AngularPreset) -> Appearance:
         """Return mean radiance of seen texels; unseen ones get the object's mean reflectance."""

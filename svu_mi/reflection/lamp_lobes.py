@@ -23,13 +23,6 @@ class LampLobes:
     channels: int
     alpha: np.ndarray
 
-    @property
-    def moments(self) -> list[list[Any]]:
-        """Diffuse moments, 8 (S,) Floats per channel."""
-        if self.channels == 3:
-            return self.lamps.moments
-        return [[sum(x) / 3 for x in zip(*self.lamps.moments, strict=True)]]
-
     def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light of lamps that each lobe reflects towards a camera."""
         sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)

@@ -2,7 +2,8 @@
 
 A lobe of width alpha averages the radiance of other surfaces, by zonal factors of each degree. Its
 hidden part is averaged likewise, or, for lobes narrower than the expansion, decided by the ray in
-the mirror direction. Rays of all lobes sample the object if its radiance is known.
+the mirror direction. If the object is shown as photographed, rays of all lobes sample its radiance
+and the part that other surfaces hide.
 """
 
 from __future__ import annotations
@@ -62,13 +63,6 @@ class NearLobes:
             sharp=np.exp(-((alpha * (DEGREE + 1)) ** 2)), centers=2 * centers,
         )  # fmt: skip
 
-    @property
-    def moments(self) -> list[list[Any]]:
-        """Diffuse moments, 8 (S,) Floats per channel."""
-        if self.channels == 3:
-            return self.near.moments
-        return [[sum(x) / 3 for x in zip(*self.near.moments, strict=True)]]
-
     def reflect(self, surface: TexelLanes, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
         """Return the light reflected by each lobe; ``free`` marks unoccluded mirror rays."""
         normal = mi.Vector3f(surface.normal)
@@ -76,7 +70,7 @@ class NearLobes:
         up = mi.Vector3f(0, 0, 1)
         directions = up, dr.normalize(up + mirror), mirror
         parts = [self.near.at(surface.lane, local) for local in directions]
-        some, result = parts[0][-1][0] > 0, []
+        some, result = sum(of_channel[0] for of_channel in self.near.moments) > 0, []
         sampled = self.near.shown and self._sample(surface, direction, some)
         for level, alpha in enumerate(self.alpha.tolist()):
             *color, hidden = self._averaged(level, parts)

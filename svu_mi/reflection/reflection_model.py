@@ -105,9 +105,10 @@ class ReflectionModel:
             lamps = LampLobes(light.lamps, channels, alpha)
         if light.flash is not None:
             flash = FlashLobes(light.flash, channels, alpha)
-        for others in (near, lamps):
+        for others in (light.near, light.lamps):
             if others is not None:
-                moments = _added(moments, others.moments)
+                grey = [[sum(x) / 3 for x in zip(*others.moments, strict=True)]]
+                moments = _added(moments, others.moments if channels == 3 else grey)
         dr.eval(moments)
         return ReflectionModel(
             roughness, surface, switches, narrow, wide, fitted, moments, near, lamps, flash

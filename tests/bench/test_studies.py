@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.helpers import memory_capture, render_views, write_ball
 
 import svu_mi as svu
 from svu_mi.bench import (
@@ -28,6 +31,7 @@ from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun
 from svu_mi.bench.paper import figure9, table2, table3
 from svu_mi.bench.problem_sizes import ProblemSizes, RecoverySizes
+from svu_mi.bench.radiance_error import radiance_error
 from svu_mi.bench.recovery.methods import RecoveryMethod
 from svu_mi.bench.scaling import line, repeated
 from svu_mi.bench.speed import run_from_files, timed_kernels
@@ -35,11 +39,14 @@ from svu_mi.bench.study import Selection, study_of
 from svu_mi.bench.timing import in_new_process, run, spread
 from svu_mi.calibration.poses import refine_poses
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.evaluation.ground_truth import ground_truth
 from svu_mi.geometry.packed_views import pack_views
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.geometry.visibility import trace_visibility
+from svu_mi.posterior.observations import observe
+from svu_mi.presets import preset
 from svu_mi.recovery.recover import recover
 
 SIZES = ProblemSizes(
@@ -66,7 +73,8 @@ TINY = {
     paths: {"QUICK": (12, 2, 1)},
     poses: {"QUICK": {"views": 8, "film": 32, "spp": 2}, "QUICK_TEXELS": 16},
     refine_poses: {"OUTLINES": 1, "COARSE": ((16, 1.0),), "FINE": ((16, 0.5),)},
-    reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12},
+    reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12,
+                "QUICK_PATHS": (20, 8)},
     verdict: {"QUICK": {"views": 16, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
     table2: {"QUICK_FILM": 24, "QUICK_TEXELS": 16, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
@@ -181,6 +189,29 @@ def test_crps_is_that_of_all_pairs_of_draws():
     apart = np.abs(drawn[:, None] - drawn[None]).sum(axis=(0, 1)) / (20 * 19)
     expected = (np.abs(drawn - true).mean(axis=0) - apart / 2).mean()
     assert posterior_scores.crps(drawn, true) == pytest.approx(expected)
+
+
+def test_errors_of_radiance_are_those_of_the_light_and_not_of_the_paths(tmp_path):
+    """Light that is a fifth too bright makes all radiance a fifth too bright."""
+    paint = {"type": "principled", "roughness": 0.9,
+             "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]}}  # fmt: skip
+    mesh = {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": paint}
+    dim, bright = (
+        mi.load_dict({"type": "scene", "ball": mesh,
+                      "light": {"type": "envmap", "bitmap": mi.Bitmap(np.full((8, 16, 3), x, "f"))},
+                      "integrator": {"type": "path", "max_depth": 2}}, optimize=False)
+        for x in (1.0, 1.2)
+    )  # fmt: skip
+    sensors = sphere_sensors(dim.shapes()[0], 6, (24, 24))
+    capture = memory_capture(bright, render_views(dim, sensors, 4), sensors)
+    observed = observe(capture, svu.texels(capture.mesh, 24))
+    _ = observed.distant_light  # read before the scene is replaced
+    for scene, expected in ((bright, 0.0), (dim, 0.2)):
+        wrong = replace(observed, capture=replace(capture, scene=scene))
+        found = radiance_error(wrong, preset("default", method="angular"), 300, 64)
+        # Paths differ by .05; the model by .01 (median).
+        assert found["radiance median"] == pytest.approx(expected, abs=0.05)
+        assert found["radiance rms"] == pytest.approx(expected, abs=0.02)
 
 
 @pytest.mark.slow

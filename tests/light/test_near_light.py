@@ -211,7 +211,13 @@ def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():
     capture = memory_capture(scene, images, sensors, shape=knot, mesh=knot)
     observed = observe(capture, svu.texels(knot, 16))
     everywhere = Appearance(np.ones((16, 16, 3), np.float32), np.zeros(3))
-    near = trace_near_light(*surroundings(capture, everywhere), observed.surface, 256)
+    near, shown = (
+        trace_near_light(*surroundings(capture, everywhere), observed.surface, 256, shown)
+        for shown in (False, True)
+    )
+    assert shown.shown is not None and not shown.values.numpy().any()  # lobes sample the knot
+    for both in zip(near.moments[1], shown.moments[1], strict=True):
+        np.testing.assert_allclose(*(x.numpy() for x in both), atol=0.05)
     *colors, hidden = near.values.numpy().reshape(4, -1, len(observed.seen))
     assert hidden[0].mean() > 0.1  # a knot hides much from itself
     for color in colors:  # a ray in a hundred meets a face from behind, which is dark
