@@ -101,8 +101,10 @@ class ReflectedCase(CaseSubject):
         truth = {name: np.asarray(x)[seen] for name, x in parameters_at(capture, layout).items()}
         predicted = found.prediction and found.prediction.r2
         scores = {**posterior_figures(found.posterior, truth, seen), "r2": predicted}
+        if not known or found.observed is None:
+            return scores
         sizes = QUICK_PATHS if self.bench.quick else ()
-        return {**scores, **(radiance_error(found.observed, chosen, *sizes) if known else {})}
+        return {**scores, **radiance_error(found.observed, chosen, *sizes)}
 
 
 ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
