@@ -171,7 +171,7 @@ class EstimateCommand(LitCommand):
 
 
 def print_prediction(progress: Progress, estimate: Estimate) -> None:
-    """Print the widening of error bars, and the prediction (a warning if it is unreliable)."""
+    """Print the widening of error bars, and the prediction, as a warning if it or a photograph is bad."""
     widened = max(estimate.posterior.kernel.spread.values(), default=1.0)
     if widened > WIDENED:
         progress.say(
@@ -181,7 +181,7 @@ def print_prediction(progress: Progress, estimate: Estimate) -> None:
     predicted, sentence = estimate.prediction, estimate.prediction_sentence
     if predicted is None or sentence is None:
         return
-    if predicted.reliable:
+    if predicted.reliable and not predicted.odd():
         progress.say(sentence)
     else:
         warnings.warn(sentence, SvuWarning, stacklevel=2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from svu_mi.posterior.observations import Observed, observe
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import HeldOutPrediction
 from svu_mi.presets import AnyPreset, Skip
+
+NAMED = 3  # photographs in a sentence
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -85,12 +88,28 @@ class Estimate:
         if self.prediction is None:
             return None
         capture = None if self.observed is None else self.observed.capture
+        said = self.prediction.sentence() + self.odd_sentence
         if capture is None or capture.found_light is None:
-            return self.prediction.sentence() + self._plane_sentence(self.prediction.cause)
+            return said + self._plane_sentence(self.prediction.cause)
         others = ""
         if other_shapes(capture.scene, capture.shape):
             others = ", as if the object were alone: give the light, or leave other shapes out"
-        return f"{self.prediction.sentence()} The light was estimated from all photographs{others}."
+        return f"{said} The light was estimated from all photographs{others}."
+
+    @property
+    def odd_sentence(self) -> str:
+        """Sentence that names photographs which are predicted much worse than others, or ""."""
+        odd = self.prediction.odd() if self.prediction else []
+        if not odd or self.observed is None:
+            return ""
+        capture = self.observed.capture
+        used = list(compress(capture.names, capture.used))
+        more = f" and {len(odd) - NAMED} more" if len(odd) > NAMED else ""
+        named = ", ".join(used[k] for k in odd[:NAMED])
+        return (
+            f" Predicted much worse than the others: {named}{more}. If blurred or with a wrong "
+            "pose, remove such photographs and use --missing leave-out."
+        )
 
     def _plane_sentence(self, cause: str) -> str:
         """Return a sentence about the plane below the object, or ""; ``cause``: of errors."""

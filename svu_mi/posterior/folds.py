@@ -63,7 +63,9 @@ def folds_of(cameras: np.ndarray, center: np.ndarray, most: int) -> list[np.ndar
     count = min(most, len(cameras) // 2)
     if count < 2:
         return []
-    labels = cluster_directions(away / np.maximum(length, TINY), count)
+    order = np.lexsort(away.T)  # folds do not depend on the order of photographs
+    labels = np.empty(len(away), np.int64)
+    labels[order] = cluster_directions((away / np.maximum(length, TINY))[order], count)
     folds = [np.flatnonzero(labels == k) for k in range(count)]
     return [fold for fold in folds if 0 < len(fold) < len(cameras)]
 

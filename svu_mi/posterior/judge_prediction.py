@@ -11,6 +11,7 @@ from svu_mi.posterior.likely_cause import ResidualPatterns, clear_cause, likely_
 from svu_mi.posterior.prediction import SIDES, HeldOutPrediction, PartPrediction
 from svu_mi.posterior.residuals import Surroundings, explained
 
+FEWEST = 50  # samples of a photograph or side
 NINETY = 1.645  # standard deviations of a 90 % interval
 
 
@@ -41,6 +42,6 @@ def _parts(
     """Return the predictions of groups of samples, of relative squared errors (S,)."""
     count = np.bincount(group, minlength=groups)
     sums = (np.bincount(group, x, groups) for x in (square, within.mean(axis=1)))
-    error, inside = (np.where(count > 0, s / np.maximum(count, 1), np.nan) for s in sums)
+    error, inside = (np.where(count >= FEWEST, s / np.maximum(count, 1), np.nan) for s in sums)
     both = zip((1 - error).tolist(), inside.tolist(), strict=True)
     return tuple(PartPrediction(*each) for each in both)

@@ -26,12 +26,14 @@ CAUSES = {
 MARGIN = 0.95  # largest ratio of the variances that a model and means of texels leave unexplained
 LEAST, GOOD = 0.6, 0.85  # R^2 of a reliable model below and above this ratio
 NOISY = 0.95  # share of samples in 90 % intervals from which noise explains all errors
+ODD = 0.8  # coverage relative to the median photograph below which a photograph is odd: on our own
+# objects, sound ones have at least .90, blurred ones or ones turned by four pixels at most .73
 SIDES = ("+x", "-x", "+y", "-y", "+z", "-z")  # directions of normals, in world space
 
 
 @dataclass(frozen=True)
 class PartPrediction:
-    """Prediction of one photograph, or of one side of the object; NaN without samples.
+    """Prediction of one photograph, or of one side of the object; NaN with few samples.
 
     Attributes:
         r2: 1 minus the mean squared error, relative to the variance of all samples.
@@ -68,6 +70,12 @@ class HeldOutPrediction:
     def reliable(self) -> bool:
         """True if the model or noise explains most, and no pattern of a mistake is seen."""
         return (self.r2 >= self.limit or self.coverage >= NOISY) and not self.cause
+
+    def odd(self) -> list[int]:
+        """Return the numbers of photographs that are predicted much worse than the others."""
+        held = np.array([part.coverage for part in self.photographs])
+        known = held[np.isfinite(held)]
+        return np.flatnonzero(held < ODD * np.median(known)).tolist() if len(known) else []
 
     @property
     def limit(self) -> float:

@@ -14,6 +14,7 @@ from support.helpers import render_ball
 import svu_mi as svu
 from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.spoiled_captures import with_gains
+from svu_mi.calibration.poses.pose_equations import moved_sensor
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.geometry.bitset import Bits
 from svu_mi.light.environment import read_environment
@@ -79,6 +80,14 @@ def test_folds_contain_every_view_once(views, expected):
     assert len(folds) == expected
     if folds:
         assert sorted(np.concatenate(folds)) == list(range(views))
+
+
+def test_folds_do_not_depend_on_the_order_of_photographs():
+    random = np.random.default_rng(2)
+    cameras, order = random.normal(size=(24, 3)), random.permutation(24)
+    folds = folds_of(cameras, np.zeros(3), 6)
+    shuffled = folds_of(cameras[order], np.zeros(3), 6)
+    assert [sorted(order[fold]) for fold in shuffled] == [sorted(fold) for fold in folds]
 
 
 def test_equal_cameras_are_not_cut_into_folds():
@@ -259,6 +268,18 @@ def test_photographs_that_were_left_out_are_predicted(capture, layout, estimates
     assert set(sound.sides) == {"+x", "-x", "+y", "-y", "+z", "-z"}
     assert not estimates[1].prediction.reliable
     assert estimates[0].prediction is None
+
+
+def test_a_photograph_with_a_wrong_pose_is_named(tmp_path):
+    """The camera is turned by about four pixels."""
+    capture = render_ball(tmp_path, sky(), paint(), views=32, spp=16)
+    wrong, sensors = 7, list(capture.sensors)
+    sensors[wrong] = moved_sensor(sensors[wrong], np.array([0.05, 0, 0, 0, 0, 0]), 1.0)
+    layout = svu.texels(capture.mesh, 64)
+    found = svu.estimate(replace(capture, sensors=tuple(sensors)), layout)
+    assert found.prediction.odd() == [wrong]
+    assert f"worse than the others: {capture.names[wrong]}. If blurred" in found.prediction_sentence
+    assert svu.estimate(capture, layout).prediction.odd() == []
 
 
 def test_ignored_gains_are_named(capture, layout):

@@ -63,6 +63,7 @@ from svu_mi.errors import OptionError, SvuError, counted
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
 from svu_mi.pipeline import estimate
+from svu_mi.posterior.estimate import Estimate
 
 SIDE = 128  # maximum side of the compared photographs in pixels
 TEXELS = 48  # texels per side to test light from below
@@ -116,15 +117,21 @@ def check(
         gain = _gain_finding(capture, small, gains)
     over = () if off else _saturated(capture, small)
     sources = () if off else _sources(capture, small)
-    is_alone = not other_shapes(capture.scene, capture.shape)
-    if axial[1].verdict == "fits" and is_alone and is_seen_from_above(capture):
-        with progress.stage("Testing light from below"):
-            sources = _missing(small, exposure_checks.unit_of(capture, small)) or sources
+    odd: tuple[Finding, ...] = ()
+    if axial[1].verdict == "fits":
+        with progress.stage("Predicting held-out photographs"):
+            found = _estimated(small, exposure_checks.unit_of(capture, small))
+        odd = _findings("cameras", "unclear", found.odd_sentence.strip() if found else None)
+        is_alone = not other_shapes(capture.scene, capture.shape)
+        if found and is_alone and is_seen_from_above(capture):
+            sources = _missing(found) or sources
     few = None if is_lit(capture) else too_few_for_light(sum(capture.used))
     number = _findings("number", "unclear", few)
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
-        cameras = () if off else _unlike(views) or _findings("cameras", *outline_note(capture))
+        cameras = () if off else odd or _unlike(views) or _findings(
+            "cameras", *outline_note(capture)
+        )  # fmt: skip
         findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
         names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
         if names or scale != 1:
@@ -326,14 +333,18 @@ def _sources(capture: Capture, small: Capture) -> tuple[Finding, ...]:
     return _findings("sources", "note", sentence(shares))
 
 
-def _missing(small: Capture, unit: float) -> tuple[Finding, ...]:
-    """Return a finding if the photographs contain light from a missing shape below the object."""
+def _estimated(small: Capture, unit: float) -> Estimate | None:
+    """Return an estimate of few texels and photographs; None without any texel."""
     small = limit_views(small, VIEWS)
     images = tuple(image * np.float32(unit) for image in small.images)
     try:
-        result = estimate(replace(small, images=images), texels(small.mesh, TEXELS))
-    except SvuError:  # such as photographs without any texel
-        return ()
+        return estimate(replace(small, images=images), texels(small.mesh, TEXELS))
+    except SvuError:
+        return None
+
+
+def _missing(result: Estimate) -> tuple[Finding, ...]:
+    """Return a finding if the photographs contain light from a missing shape below the object."""
     found, plane = result.prediction, result.observed and result.observed.plane
     if found is None or found.cause != "surroundings":
         return ()

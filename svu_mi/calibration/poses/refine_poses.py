@@ -45,6 +45,7 @@ class RefinedPoses:
             NaN without masks.
         r2: R^2 of held-out photographs before and after; NaN with fewer than 12 photographs. If it
             decreases, cameras are not moved.
+        odd: names photographs that are predicted much worse than others; empty if there are none.
 
     Example:
         >>> refined = svu.refine_poses(svu.load_capture("capture", views=[0, 4, 8]))
@@ -56,6 +57,7 @@ class RefinedPoses:
     moved: np.ndarray
     outlines: tuple[float, float]
     r2: tuple[float, float] = (np.nan, np.nan)
+    odd: str = ""
 
     @property
     def is_worse(self) -> bool:
@@ -80,7 +82,7 @@ class RefinedPoses:
             parts.append("outlines by {:.2g} before, {:.2g} pixels after".format(*self.outlines))
         if np.isfinite(self.r2[0]):
             parts.append(f"held-out photographs are predicted with {r2}")
-        return f"{'; '.join(parts)}."
+        return f"{'; '.join(parts)}.{self.odd}"
 
 
 def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedPoses:
@@ -111,14 +113,15 @@ def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedP
     with progress.stage("Refining poses", len(rounds)) as stage:
         refined = _refined(capture, rounds, stage.update)
     with progress.stage("Predicting held-out photographs"):
-        refined = replace(refined, r2=(_r2(capture), _r2(refined.capture)))
+        (before, _), (after, odd) = (_predicted(one) for one in (capture, refined.capture))
+        refined = replace(refined, r2=(before, after), odd=odd)
     return replace(refined, capture=capture) if refined.is_worse else refined
 
 
-def _r2(capture: Capture) -> float:
-    """Return R^2 of held-out photographs; NaN with too few."""
-    found = estimate(capture, texels(capture.mesh, FINE[0][0])).prediction
-    return np.nan if found is None else found.r2
+def _predicted(capture: Capture) -> tuple[float, str]:
+    """Return R^2 of held-out photographs, NaN with too few, and the sentence of odd ones."""
+    found = estimate(capture, texels(capture.mesh, FINE[0][0]))
+    return np.nan if found.prediction is None else found.prediction.r2, found.odd_sentence
 
 
 def outline_note(capture: Capture) -> tuple[Literal["note", "unclear"], str | None]:
