@@ -17,6 +17,7 @@ VERTICES, VIEWS = 400, 16  # sample sizes
 INSIDE = 0.5  # share of cameras in the bounding box of the mesh that is suspicious
 HIDDEN = 0.25  # share of visible vertices below which a mesh is not framed by its cameras
 FRAMED = 0.5  # share of visible vertices from which it is
+UNSEEN = 0.5  # share of cameras that see nothing of the mesh, from which that is suspicious
 TINY, SMALL, LARGE = 0.03, 0.1, 2.0  # extent in the photographs, relative to their sides
 ALIKE = 2.0  # ratio of factors that the photographs hardly distinguish
 APART = 6.0  # ratio of bounding boxes of points and mesh that is suspicious
@@ -65,7 +66,7 @@ def wrong_scale(
     inside = int(((eyes > low) & (eyes < high)).all(axis=1).sum())
     some = [sensors[view] for view in evenly_spaced(len(sensors), VIEWS)]
     vertices = positions[evenly_spaced(len(positions), VERTICES)]
-    share, size = framing(vertices, some)
+    share, size, blind = framing(vertices, some)
     ratio = 1.0 if points is None else _ratio_of_points(points, width)
     if inside >= INSIDE * len(sensors) and share < HIDDEN:
         problem = (
@@ -78,16 +79,20 @@ def wrong_scale(
         )
     elif size < TINY:
         problem = f"the mesh covers {size:.1g} of the width of the photographs"
+    elif blind > UNSEEN:
+        problem = f"the mesh is outside of {blind:.0%} of the photographs"
     else:
         return None
-    return WrongScale(problem, _best_factors(vertices, some, None if points is None else ratio))
+    factors = _best_factors(vertices, some, None if points is None else ratio)
+    # Other mistakes, such as wrong axes, also put the mesh outside of the photographs.
+    return WrongScale(problem, factors) if factors or blind <= UNSEEN else None
 
 
 def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> list[float]:
     """Return the usual factor with which the cameras frame the mesh best, and similar ones."""
     sizes = {}
     for factor in FACTORS:
-        share, size = framing(vertices * factor, sensors)
+        share, size, _ = framing(vertices * factor, sensors)
         if share >= FRAMED and SMALL <= size <= LARGE:
             sizes[factor] = size
 
@@ -99,10 +104,11 @@ def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | N
     return [factor for factor in order if 1 / ALIKE < factor / order[0] < ALIKE]
 
 
-def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float]:
-    """Return the mean share of visible vertices, and the median extent relative to the film.
+def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float, float]:
+    """Return how cameras frame (N, 3) ``vertices``.
 
-    ``vertices`` are (N, 3) positions.
+    These are the mean share of visible vertices, their median extent relative to the film, and the
+    share of cameras that see none.
     """
     shares, sizes = [], []
     for sensor in sensors:
@@ -112,7 +118,8 @@ def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float]
         shares.append((ahead & (pixels > 0).all(axis=1) & (pixels < film).all(axis=1)).mean())
         if ahead.any():
             sizes.append((np.ptp(pixels[ahead], axis=0) / film).max())
-    return float(np.mean(shares)), float(np.median(sizes)) if sizes else np.inf
+    extent = float(np.median(sizes)) if sizes else np.inf
+    return float(np.mean(shares)), extent, float(np.mean(np.equal(shares, 0)))
 
 
 def _ratio_of_points(points: np.ndarray, width: float) -> float:

@@ -222,7 +222,7 @@ def _print(console: Console, capture: Capture, estimate: Estimate, guidance: Gui
     for rank, (proposal, name) in enumerate(zip(guidance.proposals, names, strict=True), 1):
         table.add_row(
             str(rank), str(proposal.candidate),
-            format_number(proposal.gain, 4), f"{proposal.error:.1g}",
+            format_number(proposal.gain, 4), f"{proposal.error:.1g}" if proposal.error else "-",
             format_number(proposal.entropy, 3),
             f"{proposal.sees:.0%}", f"{proposal.new:.0%}", name,
         )  # fmt: skip

@@ -171,7 +171,7 @@ class EstimateCommand(LitCommand):
 
 
 def print_prediction(progress: Progress, estimate: Estimate) -> None:
-    """Print the widening of error bars, and the prediction, as a warning if it or a photograph is bad."""
+    """Print the widening of error bars, and the prediction, as a warning if it is bad."""
     widened = max(estimate.posterior.kernel.spread.values(), default=1.0)
     if widened > WIDENED:
         progress.say(

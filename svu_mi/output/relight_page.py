@@ -88,7 +88,11 @@ def uncertainty_sentence(views: Sequence[RelitView]) -> str:
     parts = [part for part in map(relative_sd, views) if part is not None]
     if not parts:
         return "The pictures do not show the object, or it is black."
-    return f"Relative standard deviation of pixels, median: {100 * float(np.median(parts)):.1f} %."
+    median = 100 * float(np.median(parts))
+    return (
+        f"Relative standard deviation of pixels, median: {median:.1f} %, without the noise of the "
+        "samples (--spp)."
+    )
 
 
 def write_relit_views(

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from support.helpers import ball
 
+from svu_mi.capture.importers.axis_fixes import rotation
 from svu_mi.capture.mesh import make_mesh
 from svu_mi.capture.mesh_scale import FACTORS, framing, wrong_scale
-from svu_mi.capture.sensors import make_sensor, sphere_sensors
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import affine, changed_sensor, make_sensor, sphere_sensors
 
 INCHES = (25.4, 39.37)
 
@@ -48,7 +50,7 @@ def test_a_point_in_the_plane_of_the_camera_is_not_framed():
         "to_world": np.eye(4), "x_fov": 90, "clip": (0.1, 10), "film": (16, 16),
         "crop_offset": (0, 0), "crop_size": (16, 16), "principal_point_offset": (0, 0),
     }  # fmt: skip
-    share, size = framing(
+    share, size, _ = framing(
         np.array([[-0.5, 0, 1], [0.5, 0, 1], [3, 0, 0]]), [make_sensor(record, "any")]
     )
     assert share == pytest.approx(2 / 3) and size == pytest.approx(0.5)
@@ -67,6 +69,19 @@ def test_cameras_in_a_mesh_of_their_surroundings_are_no_mistake(sensors):
     ground = np.stack([x.ravel(), np.full(x.size, -1.0), y.ravel()], axis=1)
     corners = [[-15, -5, -15], [15, 9, 15]]
     assert wrong_scale(np.concatenate([ball().positions, ground, corners]), sensors) is None
+
+
+def test_a_mesh_in_mm_far_from_the_origin_is_named(sensors):
+    """The cameras are outside of its bounding box, and nearly all see nothing of it."""
+    place = np.array([4.0, -3.0, 2.0])
+    moved = [changed_sensor(s, to_world=(affine(np.eye(3), place) @ to_world(s)).tolist())
+             for s in sensors]  # fmt: skip
+    positions = ball().positions + place
+    assert wrong_scale(positions, moved) is None
+    wrong = wrong_scale(1000 * positions, moved)
+    assert wrong is not None and wrong.factor == pytest.approx(0.001)
+    turned = positions @ rotation("x", 90).T
+    assert wrong_scale(turned, moved) is None  # wrong axes have no factor
 
 
 def test_an_unknown_factor_is_not_made_up(sensors):

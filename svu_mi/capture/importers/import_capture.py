@@ -37,7 +37,7 @@ from svu_mi.capture.importers.duplicate_frames import duplicate_notes
 from svu_mi.capture.importers.envmap import write_environment
 from svu_mi.capture.importers.exposure_list import EQUAL, with_gains
 from svu_mi.capture.importers.import_options import ImportOptions, Light
-from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh
+from svu_mi.capture.importers.mesh_files import TexturedMesh, read_textured_mesh, require_mesh_file
 from svu_mi.capture.importers.mesh_materials import write_pictures
 from svu_mi.capture.importers.nerfstudio_world import find_normalisation, in_world_of_poses
 from svu_mi.capture.importers.resampling import square_pixel_frame, with_size
@@ -251,9 +251,6 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
     up = {("y", "z"): ["mesh-x90"], ("z", "y"): ["mesh-x270"]}
     between = up.get((options.mesh_up or "", options.world_up or ""), [])
     fixes = find_fixes([*between, *options.fixes])
-    there, left_out = _existing_frames(source, options)
-    gained, known, about_gains = with_gains(there, options.exposures)
-    frames = _prepare_frames(gained, source, options, fixes)
     mesh, light = options.mesh or source.mesh, options.environment or source.light
     if light is not None and not light.path.is_file():
         raise CaptureError(
@@ -261,6 +258,10 @@ def plan_import(source: Source, options: ImportOptions) -> ImportPlan:
         )
     if mesh is None:
         raise OptionError(f"{source.root}: contains no mesh of the object; give it with --mesh.")
+    require_mesh_file(Path(mesh))
+    there, left_out = _existing_frames(source, options)
+    gained, known, about_gains = with_gains(there, options.exposures)
+    frames = _prepare_frames(gained, source, options, fixes)
     fitted = options.exposures not in (None, "exif") or (light is not None and light.scale != 1)
     relative = not fitted and any(
         max(a.exposure, b.exposure) >= EQUAL * min(a.exposure, b.exposure)

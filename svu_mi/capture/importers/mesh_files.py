@@ -182,14 +182,19 @@ def _ply_properties(part: Any) -> Any:
     return part.metadata.get("_ply_raw", {}).get("vertex", {}).get("properties", ())
 
 
-def _read_parts(
-    path: Path, files: _FolderResolver, geometry_only: bool
-) -> tuple[list[_Part], list[str]]:
-    """Return the triangle meshes of a file, and notes."""
+def require_mesh_file(path: Path) -> None:
+    """Raise ``MeshError`` unless ``path`` is a file in a supported format."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a supported mesh format ({', '.join(SUFFIXES)}).")
     if not path.is_file():
         raise MeshError(f"{path}: no such mesh file.")
+
+
+def _read_parts(
+    path: Path, files: _FolderResolver, geometry_only: bool
+) -> tuple[list[_Part], list[str]]:
+    """Return the triangle meshes of a file, and notes."""
+    require_mesh_file(path)
     held = path.stat().st_size
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")

@@ -120,6 +120,7 @@ class ArrayCache:
 
 
 def _size(size: float) -> str:
-    """Return "1.2 GB", "217 MB" or "8 kB"."""
+    """Return "1.2 GB", "217 MB" or "8 kB", at least "1 kB"."""
+    size = max(size, UNITS["kB"])
     unit = next((name for name, one in UNITS.items() if size >= one), "kB")
     return f"{size / UNITS[unit]:.{int(unit == 'GB')}f} {unit}"
