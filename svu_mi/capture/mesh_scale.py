@@ -66,6 +66,7 @@ def wrong_scale(
     inside = int(((eyes > low) & (eyes < high)).all(axis=1).sum())
     some = [sensors[view] for view in evenly_spaced(len(sensors), VIEWS)]
     vertices = positions[evenly_spaced(len(positions), VERTICES)]
+    vertices = np.concatenate([vertices, [(low + high) / 2]])  # of a large triangle
     share, size, blind = framing(vertices, some)
     ratio = 1.0 if points is None else _ratio_of_points(points, width)
     if inside >= INSIDE * len(sensors) and share < HIDDEN:
@@ -79,13 +80,11 @@ def wrong_scale(
         )
     elif size < TINY:
         problem = f"the mesh covers {size:.1g} of the width of the photographs"
-    elif blind > UNSEEN:
+    elif blind > UNSEEN and _best_factors(vertices, some, None):  # or the axes are wrong
         problem = f"the mesh is outside of {blind:.0%} of the photographs"
     else:
         return None
-    factors = _best_factors(vertices, some, None if points is None else ratio)
-    # Other mistakes, such as wrong axes, also put the mesh outside of the photographs.
-    return WrongScale(problem, factors) if factors or blind <= UNSEEN else None
+    return WrongScale(problem, _best_factors(vertices, some, None if points is None else ratio))
 
 
 def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> list[float]:
