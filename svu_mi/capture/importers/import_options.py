@@ -108,21 +108,18 @@ class ImportOptions:
 
     def __post_init__(self) -> None:
         """Raise OptionError for numbers out of range, and for one up axis without the other."""
-        if self.every < 1:
-            raise OptionError(f"--every must be 1 (all photographs) or more, got {self.every}.")
-        if self.faces is not None and self.faces < 100:
-            raise OptionError(f"--faces must be 100 or more, got {self.faces}.")
-        if self.table is not None and not np.isfinite(self.table):
-            raise OptionError(f"--table must be a finite number, got {self.table}.")
-        if not 0 <= self.table_albedo <= 1:
-            raise OptionError(f"--table-albedo must be in [0, 1], got {self.table_albedo}.")
-        if self.flash is not None and not np.isfinite(self.flash).all():
-            raise OptionError(f"--flash must be three finite numbers, got {self.flash}.")
-        if not all(0 < value < np.inf for value in self.flash_intensity):
-            raise OptionError(f"--flash-intensity must be positive, got {self.flash_intensity}.")
-        if self.missing not in ("refuse", "leave-out"):
-            raise OptionError(f"--missing must be refuse or leave-out, got {self.missing!r}.")
-        if not 0 < self.mesh_scale < np.inf:
-            raise OptionError(f"--mesh-scale must be positive, got {self.mesh_scale}.")
+        for name, is_valid, words in (
+            ("every", self.every >= 1, "1 (all photographs) or more"),
+            ("faces", self.faces is None or self.faces >= 100, "100 or more"),
+            ("table", self.table is None or np.isfinite(self.table), "a finite number"),
+            ("table_albedo", 0 <= self.table_albedo <= 1, "in [0, 1]"),
+            ("flash", self.flash is None or np.isfinite(self.flash).all(), "three finite numbers"),
+            ("flash_intensity", all(0 < x < np.inf for x in self.flash_intensity), "positive"),
+            ("missing", self.missing in ("refuse", "leave-out"), "refuse or leave-out"),
+            ("mesh_scale", 0 < self.mesh_scale < np.inf, "positive"),
+        ):
+            if not is_valid:
+                given = getattr(self, name)
+                raise OptionError(f"--{name.replace('_', '-')} must be {words}, got {given}.")
         if (self.mesh_up is None) != (self.world_up is None):
             raise OptionError("--mesh-up and --world-up need each other; give both.")
