@@ -175,7 +175,7 @@ def run_bench(
 ) -> dict[str, Record]:
     """Run benchmarks in turn, and write STUDY.json of each, bench.md and the plots.
 
-    All files but the plots are updated after each case.
+    All files but the plots are updated after each case; plots are drawn at the end.
 
     Args:
         bench: Folder, sizes and options of the run.
@@ -201,14 +201,16 @@ def run_bench(
         raise OptionError("No capture given; add its folder to the command.")
     prepare_folder(bench.folder)
     records: dict[str, Record] = {}
-    for name, study in chosen.items():
-        about = {"study": name, **_provenance_of(bench, name, command)}
+    try:
+        for name, study in chosen.items():
+            about = {"study": name, **_provenance_of(bench, name, command)}
 
-        def report(measured: Record, about: Record = about) -> None:
-            records[about["study"]] = {**about, **measured}
-            write(bench, records)
+            def report(measured: Record, about: Record = about) -> None:
+                records[about["study"]] = {**about, **measured}
+                write(bench, records)
 
-        report(study.run(bench, selection, report))
+            report(study.run(bench, selection, report))
+    finally:  # also of studies before one that fails
         draw(bench, records)
     return records
 
