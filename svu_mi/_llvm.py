@@ -10,8 +10,6 @@ Dr.Jit loads its library on import. If it was imported first and loaded a librar
 an LLVM variant is used, so CUDA and Metal are not affected.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import platform

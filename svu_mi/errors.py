@@ -4,8 +4,6 @@ The command line prints the message and exits with status 2. Python callers catc
 one of its subclasses. Warnings derive from ``SvuWarning`` and use the ``warnings`` module.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from unicodedata import category

@@ -6,8 +6,6 @@ roughness levels. All others (``MIXED``) only re-weight reflectance components
 (``reflection/principled.py``); they are integrated by quadrature.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import FrozenInstanceError, dataclass
 from typing import Any, NoReturn, Self

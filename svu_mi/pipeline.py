@@ -7,8 +7,6 @@
 ``capture/loading.py`` loads captures, ``geometry/texels.py`` rasterises the UV map into texels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal
 

@@ -6,8 +6,6 @@ radiance instead of estimating it, as comparisons with path-traced references re
 differ in single options, so an ablation is ``preset("paper", penalize_constant=False)``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from math import inf
 from numbers import Real

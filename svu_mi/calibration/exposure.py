@@ -4,8 +4,6 @@ A gain g multiplies a channel of one photograph: b = g r. Log gains are unknowns
 equations (``gauss_newton``), alone or together with the light. Their mean is part of the light.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Synthetic captures: renders of a scene, one photograph per sensor."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

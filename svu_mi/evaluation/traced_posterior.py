@@ -1,7 +1,5 @@
 """Reference posterior p(psi | B, L): path tracing of every psi, without approximations."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable, Mapping

@@ -5,8 +5,6 @@ tiles are symbolic, so compile time is independent of the size, which can differ
 Unrolled loops are in plain helpers, because ``@dr.syntax`` would trace them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Samples and fits of Eq. 12: radiance of texels, and mirrored light."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property

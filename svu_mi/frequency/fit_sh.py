@@ -7,8 +7,6 @@ equivalent solvers: (degree + 1)^2 normal equations (``solve_primal``), or one e
 view (``solve_dual``; a quarter of the time for 24 of 60 views). Both use double precision.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from numbers import Real

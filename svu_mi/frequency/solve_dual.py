@@ -7,8 +7,6 @@ unknown: for u = W Y_00, c_00 = u^T M^-1 W f / u^T M^-1 u and a = M^-1 (W f - u 
 Double precision, because single precision has errors of 1e-3 of the spectrum for close views.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

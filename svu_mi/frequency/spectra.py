@@ -1,7 +1,5 @@
 """Spherical harmonic fits and power spectra of radiance and mirrored light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

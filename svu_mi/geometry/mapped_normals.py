@@ -1,7 +1,5 @@
 """Shading normals of texels under a ``normalmap`` or ``bumpmap``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pixel look-ups: projection, interpolation, and mean over a texel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

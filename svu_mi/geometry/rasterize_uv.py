@@ -4,8 +4,6 @@ One lane per face loops over its bounding box. Edge functions are exactly antisy
 the top-left rule a texel centre on a shared edge belongs to one face: counts above 1 are overlaps.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

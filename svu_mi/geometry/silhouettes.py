@@ -6,8 +6,6 @@ pixel corners; the 16 lanes of a packet are 4 x 4 neighbouring corners. Only til
 object's projected bounding box and the photograph's mask are traced.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -1,7 +1,5 @@
 """Parameters of a scene's principled BSDF at texels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

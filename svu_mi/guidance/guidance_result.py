@@ -1,7 +1,5 @@
 """Result of ``next_best_view``: proposals, scores of all candidates, maps of gain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any

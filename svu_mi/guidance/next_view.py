@@ -10,8 +10,6 @@
 ``make_forecast`` implements steps 1 and 2; ``greedy`` evaluates the candidates of step 3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from numbers import Integral

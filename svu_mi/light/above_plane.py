@@ -1,7 +1,5 @@
 """Light above a horizontal plane on which the object stands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Textures of band-limited radiance, irradiance and diffuse moments."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any

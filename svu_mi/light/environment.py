@@ -5,8 +5,6 @@ theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real a
 the order l*l + l + m of ``drjit.sh_eval``, in the *polar* frame (z, x, y).
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Grids of lat-long maps: directions, quadrature weights, resampling."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -4,8 +4,6 @@ A ``LightStack`` stores the maps of all roughness levels in one table and interp
 levels. The resolution of a level depends on its lobe width, so wide lobes need little memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -7,8 +7,6 @@ A checkpoint stores the settings of its run and digests of its inputs. Loading r
 these differ in the present run.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Starting point of a recovery: an RGB estimate and its posterior means."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ If the source is an estimate with preset ``paper``, its options (such as the deg
 values and priors of roughness are always kept.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal

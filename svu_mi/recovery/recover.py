@@ -12,8 +12,6 @@ TV is the total variation between neighbouring texels. L_S is global sharing (Eq
 uncertain texels towards certain ones with similar posteriors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

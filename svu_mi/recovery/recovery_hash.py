@@ -1,7 +1,5 @@
 """Digests of the inputs of a recovery, which identify the run of a checkpoint."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

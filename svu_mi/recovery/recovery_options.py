@@ -1,7 +1,5 @@
 """Options of recovery, and their presets. Each run records its options."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from math import inf

@@ -1,7 +1,5 @@
 """Result of a recovery: textures, coverage, losses and settings."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Inputs of a recovery: estimate, neighbours, regularisers and settings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property

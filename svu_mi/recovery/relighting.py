@@ -4,8 +4,6 @@ images = relight(capture, textures, novel_light(capture), capture.sensors[:3])
 truth = relight(capture, None, novel_light(capture), capture.sensors[:3])
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

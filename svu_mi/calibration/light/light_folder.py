@@ -1,7 +1,5 @@
 """Folder of an estimated light: ``light.exr`` for viewing, ``light.npz`` for reuse."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Options of the estimate of the light."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real

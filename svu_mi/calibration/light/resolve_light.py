@@ -5,8 +5,6 @@ estimated too). It is reused while the photographs are unchanged, for any option
 unless a value of metallic is known that the estimate lacked.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path

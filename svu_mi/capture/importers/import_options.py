@@ -3,8 +3,6 @@
 The command line reads this before Mitsuba is loaded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Differences between two results for one object, as maps and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real

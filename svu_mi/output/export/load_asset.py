@@ -1,7 +1,5 @@
 """Asset from the folders of ``svu recover`` and ``svu entropy``."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ export_asset("out", "asset")
 export_asset(Asset.of(capture, recovery, estimate), "asset", ExportOptions(bits=16))
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

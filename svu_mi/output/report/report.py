@@ -1,7 +1,5 @@
 """``report.html``: self-contained page with a capture and its estimate."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import os

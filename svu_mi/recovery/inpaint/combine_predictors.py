@@ -1,7 +1,5 @@
 """Predictions of unknown texels by total variation and symmetry, and their mean."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 
 import numpy as np

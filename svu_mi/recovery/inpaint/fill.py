@@ -5,8 +5,6 @@ all objects. Cross-validation on seen parts of the surface gives weights per par
 error of the mean (``cross_validation``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import inf
 

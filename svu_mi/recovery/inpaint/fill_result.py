@@ -1,7 +1,5 @@
 """Filled textures, and their precision-weighted fusion with predictions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal

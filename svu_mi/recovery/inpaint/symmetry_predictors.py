@@ -5,8 +5,6 @@ painted with bands and repeated patterns. Each ``SymmetryPredictor`` averages kn
 match an unknown one under one such assumption. ``cross_validation`` measures its errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property

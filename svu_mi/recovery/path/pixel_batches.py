@@ -1,7 +1,5 @@
 """Random batches of usable pixels from all views."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any

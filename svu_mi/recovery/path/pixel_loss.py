@@ -21,8 +21,6 @@ that the gradient of each half uses the loss of the other. This saves a pass:
 where A and B are mean radiances, and l' is the derivative of a pixel's loss.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

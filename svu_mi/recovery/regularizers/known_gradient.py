@@ -1,7 +1,5 @@
 """Differentiable scalars with an explicit gradient; base class of regularisers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Seeds of global sharing: the most certain texels of each material."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svu_mi.geometry.neighbors import Neighbors, connected_components

@@ -1,7 +1,5 @@
 """Textures of a scene as parameters of an optimiser."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

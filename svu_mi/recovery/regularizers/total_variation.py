@@ -1,7 +1,5 @@
 """Total variation between neighbouring texels, on the surface or in the texture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -5,8 +5,6 @@ Loss and derivatives are summed in one pass. One gather per texel then propagate
 to the textures, without atomic additions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

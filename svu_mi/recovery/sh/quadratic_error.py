@@ -5,8 +5,6 @@ Rom 1974], which have continuous derivatives. The gradient is computed per texel
 textures without atomic operations (``known_gradient``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

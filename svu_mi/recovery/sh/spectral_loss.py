@@ -11,8 +11,6 @@ The loss is the mean absolute difference over n coefficients (l, m) or degrees l
 channels, divided by the unit: the mean radiance or power of the capture.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Clipped normal distributions: min(max(x, 0), 1) of normal x."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

@@ -4,8 +4,6 @@ Smooth fields are sums of cosine waves with random wave vectors (random Fourier 
 Recht 2007]). Their correlation at a distance d in space is exp(-d^2 / (2 l^2)).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

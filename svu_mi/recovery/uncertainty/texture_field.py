@@ -21,8 +21,6 @@ most, where f is the share that the whole object may have in common. Flat textur
 Values x are clipped to [0, 1]; their standard deviations are enlarged to compensate for that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial

@@ -5,8 +5,6 @@ the textures filled so far, under the capture's light. Renders resemble the phot
 are trained on, and contain only information from the photographs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

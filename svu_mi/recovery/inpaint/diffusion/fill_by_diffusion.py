@@ -10,8 +10,6 @@ s_m is the error on held-out certain parts of the same object. Texels that no vi
 filled by symmetry (``fill.py``), which also provides the initial maps of the model.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -13,8 +13,6 @@ with a_t^2 + s_t^2 = 1; after the last time, n is x. The noise e is the same thr
 that reproduces x exactly also does so in the last steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Loading of diffusion model weights from a local folder, without pickles."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Iterator
 from contextlib import contextmanager

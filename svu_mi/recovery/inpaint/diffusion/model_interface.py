@@ -9,8 +9,6 @@ All families are latent diffusion models [Rombach et al. 2022] that predict mate
 svu_mi contains no weights. Each family has its own licence (``Family.licence``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
