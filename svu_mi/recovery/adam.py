@@ -8,12 +8,10 @@ gives the same result as an uninterrupted one.
                       {"roughness": start}, DescentOptions(steps=100))
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -25,9 +23,7 @@ from svu_mi.core.interrupts import between_steps
 from svu_mi.core.progress import Stage
 from svu_mi.errors import SvuError
 from svu_mi.recovery.checkpoint import Checkpoint, DescentState
-
-if TYPE_CHECKING:
-    from svu_mi.recovery.recovery_options import DescentOptions
+from svu_mi.recovery.recovery_options import DescentOptions
 
 Objective = Callable[[dict[str, Any], int], Any]
 READ_EVERY = 10  # steps between reads of the losses; each read waits for the device

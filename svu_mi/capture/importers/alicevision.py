@@ -7,16 +7,15 @@ lengths are in pixels; later, they are in millimetres of ``sensorWidth``. The pr
 pixels from the image's corner, since 1.2.1 from its centre.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from svu_mi.capture.importers.lens_distortion import Lens
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENCV, Frame, Source
 from svu_mi.capture.importers.source_files import find_file, find_folder, find_mask, substitutions
 from svu_mi.capture.sensors import affine
@@ -24,9 +23,6 @@ from svu_mi.core.io.files import read_json, refusing
 from svu_mi.core.io.schema import ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, excerpt
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 FILES = ("cameras.sfm", "sfm.json", "sfm_data.json", "sfm.sfm")
 HEAD = re.compile(rb'(\xef\xbb\xbf)?\s*\{\s*"version"\s*:\s*\[')

@@ -12,17 +12,15 @@ Photographs and masks are assigned to matrices in the order of their names. Both
 ray of pixel (0, 0) through the point (0, 0), the centre of the first pixel, as in OpenCV.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from svu_mi.capture.image_io import open_image
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Source
 from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
 from svu_mi.capture.sensors import affine
@@ -31,9 +29,6 @@ from svu_mi.core.io.npz import read_foreign_arrays
 from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, OptionError
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 FILES, SUFFIX = ("cameras_sphere.npz", "cameras.npz"), ".npz"
 IMAGES, MASKS = ("image", "images"), ("mask", "masks")

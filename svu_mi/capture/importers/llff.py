@@ -7,13 +7,11 @@ camera's axes down, right and backwards. The focal length is in pixels of a phot
 height and width. The format has no lens data: centred principal point, no distortion.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source, pixels
 from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
 from svu_mi.capture.sensors import affine
@@ -22,9 +20,6 @@ from svu_mi.core.io.npz import read_foreign_array
 from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 FILE, SUFFIX = "poses_bounds.npy", ".npy"
 IMAGES, MASKS = ("images",), ("masks", "mask")

@@ -5,18 +5,17 @@ the scene; Blender and nerfstudio have +Z up. The keys follow nerfstudio:
 https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from svu_mi.capture.image_io import SUFFIXES, open_image
 from svu_mi.capture.importers.lens_distortion import COEFFICIENTS, Lens
 from svu_mi.capture.importers.nerfstudio_world import AppliedWorld
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENGL, Frame, Source
 from svu_mi.capture.importers.source_files import (
     find_file,
@@ -29,9 +28,6 @@ from svu_mi.core.io.files import read_json, refusing, write_json
 from svu_mi.core.io.schema import FLAG, ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
 from svu_mi.errors import CaptureError, OptionError, are, excerpt
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # usual parts of a data set

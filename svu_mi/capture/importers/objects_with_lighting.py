@@ -6,14 +6,12 @@ photographs are ``255 (x 2^exposure)^(1/2.2)``, and environment maps have +Z at 
 centre and +Y at u = 1/4 (``blender``).
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import (
     ENVIRONMENT_AXES,
     OPENCV,
@@ -29,9 +27,6 @@ from svu_mi.core.io.files import refusing
 from svu_mi.core.io.schema import NUMBER, Field, checked
 from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, counted
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 INPUTS = "inputs"
 PLACES = (

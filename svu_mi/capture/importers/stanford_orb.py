@@ -16,23 +16,19 @@ is in the frame of its photograph's camera, with the viewing direction in its ce
 its ``to_world`` is the camera's rotation.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.nerf import parse_frame, read_poses
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import OPENGL, Frame, Light, Source
 from svu_mi.capture.importers.source_files import safe_path
 from svu_mi.errors import CaptureError, OptionError
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 Split = Literal["train", "test", "novel"]
 

@@ -4,13 +4,10 @@ COLMAP's camera space is +X right, +Y down, +Z forward (``OPENCV``), poses are w
 the centre of the first pixel is (0.5, 0.5). World axes and unit are arbitrary.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -23,6 +20,7 @@ from svu_mi.capture.importers.colmap.sparse_model import (
     read_model,
     read_points,
 )
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import OPENCV, Frame, Source
 from svu_mi.capture.importers.source_files import (
     find_file,
@@ -33,9 +31,6 @@ from svu_mi.capture.importers.source_files import (
 )
 from svu_mi.capture.sensors import affine
 from svu_mi.errors import CaptureError, are, counted, excerpt
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 # Undistorted models come before their distorted originals; both have the same world.
 # nerfstudio keeps the project in colmap/, next to the photographs.

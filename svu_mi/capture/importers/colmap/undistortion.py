@@ -6,15 +6,12 @@ pycolmap runs in a separate process: it aborts on unexpected input, and its copy
 with Pillow's. It only reads models and pictures that this package could decode.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -22,14 +19,12 @@ from PIL import Image
 from svu_mi.capture.image_io import open_image, quantized
 from svu_mi.capture.importers.colmap.project import IMAGES, MASKS, project_notes, read, read_project
 from svu_mi.capture.importers.colmap.sparse_model import ColmapCamera, Pose, read_model, write_model
+from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.resampling import undistorted_frame
 from svu_mi.capture.importers.source import Frame, Source
 from svu_mi.capture.photographs import read_mask
 from svu_mi.core.io.files import prepare_folder
 from svu_mi.errors import CaptureError, SvuEnvironmentError, excerpt
-
-if TYPE_CHECKING:
-    from svu_mi.capture.importers.registry import ReadOptions
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
