@@ -180,7 +180,7 @@ class CalibratedKernel(Kernel):
         exact for s << h and s >> h.
         """
         added: Any = np.float32(0)
-        for name in self.spread:
+        for name in filter(self.spread.__contains__, self.grid.axes):  # a fixed order
             mean, sd = self._own_moments(name, texels)
             scaled = 2 * math.pi * math.e * (sd * (len(self.grid.axes[name]) - 1)) ** 2
             factors = self._factors(name, mean, sd, texels)
