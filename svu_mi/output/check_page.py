@@ -40,7 +40,7 @@ LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "cameras": "Accuracy of the poses", "light": "Environment map",
     "texture": "Texture coordinates",
-    "gain": "Gain of the photographs", "saturation": "Saturated pixels",
+    "gain": "Gains or outliers", "saturation": "Saturated pixels",
     "sources": "Sources of the light", "ignored": "Ignored effects",
     "number": "Number of photographs",
 }  # fmt: skip

@@ -114,7 +114,7 @@ def test_check_reports_estimated_gains(imported, tmp_path, capsys, monkeypatch):
         "gain (UNCLEAR): Exposure gains range from 0." in said and "White balance differs" in said
     )
     assert f"IMG_{SPOILT:04d}.jpg is an outlier" in said
-    assert "Axes fit, but results may be wrong for another reason: gain of the photographs." in said
+    assert "Axes fit, but results may be wrong for another reason: gains or outliers." in said
 
 
 def test_the_real_benchmark_needs_a_capture(tmp_path):

@@ -569,7 +569,7 @@ def test_what_is_ignored_has_the_last_word(capture):
     assert not unsure.fits
     assert (
         verdict(unsure)
-        == "Axes fit, but results may be wrong for another reason: gain of the photographs."
+        == "Axes fit, but results may be wrong for another reason: gains or outliers."
     )
     assert svu.check(capture).findings[-2].question == "gain"
 

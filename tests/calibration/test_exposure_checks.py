@@ -335,5 +335,5 @@ def test_the_console_names_the_gain(vase, tmp_path, capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert "gain (UNCLEAR): " in printed and TOO_BRIGHT.search(printed)
     assert (
-        "Axes fit, but results may be wrong for another reason: gain of the photographs." in printed
+        "Axes fit, but results may be wrong for another reason: gains or outliers." in printed
     )
