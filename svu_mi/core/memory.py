@@ -64,7 +64,7 @@ COSTS = {
     "relight": Cost(480e6, 23, texel=120),
     "report": Cost(480e6, 23),
     "view": Cost(540e6, 23),
-    "check": Cost(395e6, 23),
+    "check": Cost(620e6, 23),
     "compare": Cost(360e6, 20),
     "render": Cost(260e6, 45, film=100, light=66),
     "import": Cost(280e6, 64, light=66),
