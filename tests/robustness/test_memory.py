@@ -122,7 +122,7 @@ def test_unknown_free_memory_refuses_nothing(monkeypatch):
     monkeypatch.setattr(memory, "address_space", lambda: None)
     needed("entropy", SIXTY * 1000, (4096, 4096)).require()
     memory.require_start()
-    assert needed("check", []).sentence() == "Needs up to 0.4 GB of memory"
+    assert needed("check", []).sentence() == "Needs up to 0.62 GB of memory"
 
 
 def test_too_little_memory_to_start_is_reported(monkeypatch):
@@ -263,7 +263,7 @@ def test_commands_without_photographs_refuse_too(command, tmp_path, capsys, monk
 
 
 @pytest.mark.parametrize("command, films, texels, peak", [
-    ("check", (192,) * 24, 0, 0.405e9), ("check", (384,) * 24, 0, 0.445e9),
+    ("check", (192,) * 24, 0, 0.46e9), ("check", (384,) * 24, 0, 0.65e9),
     ("inpaint", (192,) * 24, 256, 0.58e9), ("inpaint", (384,) * 24, 600, 1.84e9),
     ("import", (256,) * 3, 0, 0.28e9),
 ])  # fmt: skip
