@@ -13,6 +13,8 @@ from svu_mi.core.arrays import evenly_spaced
 # Quotients of usual units, and of wrong conversions: mm, cm, m, km, inch.
 RATIOS = (10.0, 25.4, 39.37, 100.0, 1000.0)
 FACTORS = tuple(1 / ratio for ratio in RATIOS) + RATIOS
+X90 = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotation about +X
+TURNS = [np.linalg.matrix_power(X90, number) for number in range(4)]  # of usual up axes
 VERTICES, VIEWS = 400, 16  # sample sizes
 INSIDE = 0.5  # share of cameras in the bounding box of the mesh that is suspicious
 HIDDEN = 0.25  # share of visible vertices below which a mesh is not framed by its cameras
@@ -88,12 +90,20 @@ def wrong_scale(
 
 
 def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> list[float]:
-    """Return the usual factor with which the cameras frame the mesh best, and similar ones."""
-    sizes = {}
-    for factor in FACTORS:
-        share, size, _ = framing(vertices * factor, sensors)
-        if share >= FRAMED and SMALL <= size <= LARGE:
-            sizes[factor] = size
+    """Return the usual factor with which the cameras frame the mesh best, and similar ones.
+
+    If there is none, the mesh may also have another up axis.
+    """
+    for turn in TURNS:
+        sizes = {}
+        for factor in FACTORS if turn is TURNS[0] else (1.0, *FACTORS):
+            share, size, _ = framing(vertices @ turn.T * factor, sensors)
+            if share >= FRAMED and SMALL <= size <= LARGE:
+                sizes[factor] = size
+        if sizes:
+            break
+    if 1.0 in sizes:  # the axes are wrong, but not the unit
+        return []
 
     def unlikely(factor: float) -> tuple[bool, float]:
         size = sizes[factor]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -165,9 +165,29 @@ class EstimateCommand(LitCommand):
         capture, grid = self.load_with_light(progress, need, size, self.estimation.known)
         if recovered is not None:
             capture = require_textures_of(capture, recovered)
+            for sentence in _differences(recovered, self.estimation):
+                capture = capture.warned(f"{recovered}: {sentence}")
         estimate = self.estimation.estimate(progress, capture, grid, **options)
         print_prediction(progress, estimate)
         return capture, estimate
+
+
+def _differences(recovered: Path, own: opt.EstimateOptions) -> Iterator[str]:
+    """Yield sentences on options of a recovery that change shares and intervals."""
+    from svu_mi.output.texture_files import recovery_settings
+
+    given = recovery_settings(recovered, "given")
+    here = {"known": list(own.known), "bounces": own.bounces}
+    if other := [f"--{name}" for name in here if given.get(name, here[name]) != here[name]]:
+        yield (
+            f"recovered with other {' and '.join(other)}; give the same here, or shares, maps and "
+            "probabilities are of another estimate than the textures."
+        )
+    if given.get("sharing"):
+        yield (
+            "recovered with sharing; shares, maps and probabilities here are of single texels "
+            "without it, so that shares differ from those that svu recover printed."
+        )
 
 
 def print_prediction(progress: Progress, estimate: Estimate) -> None:

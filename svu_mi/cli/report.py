@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from svu_mi.recovery.svbrdf_textures import Textures
 
 SUFFIXES = (".html", ".htm")
-SHARED = (
-    "recovered with sharing; shares, maps and probabilities of the report are of single texels "
-    "without it, so that shares differ from those that svu recover printed."
-)
 SIDE = 256  # texels per side: the maps on the page have 256 pixels
 Page = Annotated[Path, arg(aliases=["-o"], metavar="FILE.html", help="Page to write.")]
 
@@ -85,12 +81,9 @@ class Report(EstimateCommand):
     ) -> IntervalSummary:
         from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
         from svu_mi.output.report.report import write_report
-        from svu_mi.output.texture_files import recovery_settings
 
         capture, estimate = self.load_and_estimate(progress, size, "report", self.recovered)
         capture = warn_of_exposure(capture, estimate)
-        if self.recovered and recovery_settings(self.recovered).get("sharing"):
-            capture = capture.warned(f"{self.recovered}: {SHARED}")
         with progress.stage("Writing the report") as stage:
             return write_report(
                 capture, estimate, self.output, textures=textures, title=self.title,

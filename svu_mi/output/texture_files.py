@@ -30,7 +30,6 @@ from svu_mi.recovery.svbrdf_textures import Textures
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"
 MESH, NORMALS = f"{ASSETS}/mesh.ply", f"{ASSETS}/normals.exr"
-SETTINGS = {"settings": Field({"used": Field(OBJECT)})}
 KINDS = (".exr", ".png")  # accepted from other programs
 
 
@@ -116,13 +115,17 @@ def object_node(
     return node
 
 
-def recovery_settings(folder: str | Path) -> dict[str, Any]:
-    """Return ``Recovery.settings`` from a folder's ``run.json``; empty if it cannot be read."""
+def recovery_settings(folder: str | Path, kind: str = "used") -> dict[str, Any]:
+    """Return ``Recovery.settings`` from a folder's ``run.json``; empty if it cannot be read.
+
+    With the kind ``given``, return the options of the command.
+    """
     try:
-        record = read_record(Path(folder) / RECORD, SETTINGS, "recover it again")
+        schema = {"settings": Field({kind: Field(OBJECT)})}
+        record = read_record(Path(folder) / RECORD, schema, "recover it again")
     except SvuError:
         return {}
-    return dict(record["settings"]["used"])
+    return dict(record["settings"][kind])
 
 
 def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:

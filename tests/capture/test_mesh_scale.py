@@ -82,6 +82,8 @@ def test_a_mesh_in_mm_far_from_the_origin_is_named(sensors):
     assert wrong is not None and wrong.factor == pytest.approx(0.001)
     turned = positions @ rotation("x", 90).T
     assert wrong_scale(turned, moved) is None  # wrong axes have no factor
+    both = wrong_scale(1000 * turned, moved)
+    assert both is not None and both.factor == pytest.approx(0.001)
 
 
 def test_an_unknown_factor_is_not_made_up(sensors):

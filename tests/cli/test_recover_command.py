@@ -81,8 +81,12 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path, monkeypatc
     assert sure < unsure
     page = SimpleNamespace(summary=str)
     monkeypatch.setattr("svu_mi.output.report.report.write_report", lambda *_, **__: page)
-    assert run("report", shot, "--recovered", tmp_path, "-o", tmp_path / "page.html") == 0
-    assert "recovered with sharing; shares, maps" in capsys.readouterr().err
+    words = ("report", shot, "--recovered", tmp_path, "-o", tmp_path / "page.html")
+    assert run(*words) == 0
+    said = capsys.readouterr().err
+    assert "recovered with sharing; shares, maps" in said and "with other" not in said
+    assert run(*words, "--known", "metallic=0") == 0
+    assert "recovered with other --known; give the same here" in capsys.readouterr().err
 
 
 @pytest.mark.slow

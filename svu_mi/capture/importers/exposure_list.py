@@ -51,7 +51,10 @@ def with_gains(
                 raise
             are_radiance = not any(open_image(frame.image).bits for frame in frames)
             some = sum(_has_exposure(frame.taken) for frame in frames)
-            note = f"EXIF: exposures of {some} of {len(frames)} photographs are not used: {error}"
+            note = (
+                f"EXIF: exposures of {some} of {len(frames)} photographs are not used, and gains "
+                f"are estimated if they differ: {error}"
+            )
             return frames, are_radiance, [note] if some else []
     each = [frame.exposure for frame in frames]
     ratio = max(each) / min(each)

@@ -741,7 +741,7 @@ def test_equal_and_partial_exif(source, tmp_path, settings, unused):
     said = [note for note in notes if "EXIF" in note]
     assert len(said) == unused.endswith("of 2")
     for note in said:
-        assert note.startswith(f"EXIF: exposures of {unused} photographs are not used: ")
+        assert note.startswith(f"EXIF: exposures of {unused} photographs are not used, and gains")
         assert "exif1.jpg: no " in note and note.endswith("as a list with --exposures.")
     if not known:
         with pytest.raises(CaptureError, match=r"exif[01].jpg: .* EXIF data"):
