@@ -69,7 +69,7 @@ COSTS = {
     "render": Cost(260e6, 45, film=100, light=66),
     "import": Cost(280e6, 64, light=66),
     "export": Cost(350e6, 0, texel=540),
-    "light": Cost(400e6, 20),
+    "light": Cost(440e6, 20),
 }
 # Bytes per texel, by preset, and for power spectra, which have no preset.
 MODELS = {
