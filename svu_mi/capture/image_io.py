@@ -154,7 +154,7 @@ def _readable(path: Path) -> Iterator[None]:
             raise
         raise CaptureError(f"{path}: {error}") from error
     except Exception as error:  # decoders raise many types
-        raise CaptureError(f"{path}: not a readable image; save it again as EXR.") from error
+        raise CaptureError(f"{path}: not a readable image; copy it again, or remove it.") from error
 
 
 def clamp_negative(

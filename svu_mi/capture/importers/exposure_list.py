@@ -123,7 +123,8 @@ def _exif_gain(path: Path) -> tuple[float, bool]:
         checked({"gain": gain}, GAIN)
     except Exception as error:  # Pillow's parsers raise any type
         raise CaptureError(
-            f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
+            f"{path}: no exposure time in its EXIF data; remove it, or give exposures as a list "
+            "with --exposures."
         ) from error
     return gain, aperture > 0
 
