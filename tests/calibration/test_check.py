@@ -22,7 +22,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.bench.spoiled_captures import foreign_mesh, on_table
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
-from svu_mi.calibration.checks.check import find_axis_mistakes
+from svu_mi.calibration.checks.check import _unlike, find_axis_mistakes
 from svu_mi.calibration.checks.decisions import (
     LIGHT_IMPROVEMENT,
     decide_light,
@@ -50,6 +50,7 @@ from svu_mi.calibration.checks.thumbnails import (
     silhouettes,
 )
 from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.poses.pose_equations import moved_sensor
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.capture import Flash
 from svu_mi.capture.importers.axis_fixes import FIXES, find_fixes, fix_rotation
@@ -710,10 +711,17 @@ def test_exchanged_photographs_are_named(capture):
         masks=tuple(capture.masks[k] for k in order),
     )  # fmt: skip
     finding = next(one for one in svu.check(changed).findings if one.question == "cameras")
-    named = f"with that of {capture.names[2]} by"
+    named = f" in {capture.names[2]} ("
     assert finding.verdict == "unclear" and named in finding.sentence
     assert "2 such photographs" in finding.sentence
     assert all(one.question != "cameras" for one in svu.check(capture).findings)
+    small = reduce_photographs(capture, 128)
+    bare, wrong = replace(small, masks=(None,) * small.count), list(small.sensors)
+    assert _unlike(check_views(bare)) == ()
+    wrong[3] = moved_sensor(wrong[3], np.array([0.1, 0, 0, 0, 0, 0]), 1.0)
+    (finding,) = _unlike(check_views(replace(bare, sensors=tuple(wrong))))
+    assert "contrast along the outline is" in finding.sentence
+    assert f" in {capture.names[3]} (1 such photograph)" in finding.sentence
 
 
 def test_inverted_masks_are_named(capture):

@@ -270,6 +270,7 @@ def test_photographs_that_were_left_out_are_predicted(capture, layout, estimates
     assert estimates[0].prediction is None
 
 
+@pytest.mark.slow
 def test_a_photograph_with_a_wrong_pose_is_named(tmp_path):
     """The camera is turned by about four pixels."""
     capture = render_ball(tmp_path, sky(), paint(), views=32, spp=16)

@@ -144,6 +144,7 @@ def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.Monke
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
 
 
+@pytest.mark.slow
 def test_lists_of_cells_do_not_overflow(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without room for their leaves, fine cells stay whole; the widest lobe changes little."""
     monkeypatch.setattr(wide_lobes, "LARGE", 0.0)

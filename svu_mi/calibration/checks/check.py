@@ -142,14 +142,17 @@ def check(
 
 
 def _unlike(views: tuple[ViewCheck, ...]) -> tuple[Finding, ...]:
-    """Return a finding if single silhouettes overlap with the masks much less than the others."""
-    known = {view.name: view.overlap for view in views if view.overlap is not None}
+    """Return a finding if single outlines fit the photographs much less than the others."""
+    masks = [view for view in views if view.overlap is not None]
+    known = {view.name: view.overlap if masks else view.contrast for view in masks or views}
+    known = {name: value for name, value in known.items() if value is not None}
     usual = float(np.median(list(known.values()) or [0.0]))
     odd = [name for name, overlap in known.items() if overlap < usual - UNLIKE]
+    cue = "overlap with the mask" if masks else "contrast along the outline"
     return _findings("cameras", "unclear", None if not odd else (
-        f"The mesh overlaps with the masks by {usual:.2f}, but with that of {odd[0]} by "
-        f"{known[odd[0]]:.2f} ({counted(len(odd), 'such photograph')}): check whether photograph, "
-        "mask and pose belong together."
+        f"The {cue} is {usual:.2f}, but "
+        f"{known[odd[0]]:.2f} in {odd[0]} ({counted(len(odd), 'such photograph')}): check whether "
+        "photograph, mask and pose belong together."
     ))  # fmt: skip
 
 
