@@ -144,8 +144,8 @@ def check(
 def _unlike(views: tuple[ViewCheck, ...]) -> tuple[Finding, ...]:
     """Return a finding if single outlines fit the photographs much less than the others."""
     masks = [view for view in views if view.overlap is not None]
-    known = {view.name: view.overlap if masks else view.contrast for view in masks or views}
-    known = {name: value for name, value in known.items() if value is not None}
+    fits = {view.name: view.overlap if masks else view.contrast for view in masks or views}
+    known = {name: fit for name, fit in fits.items() if fit is not None}
     usual = float(np.median(list(known.values()) or [0.0]))
     odd = [name for name, overlap in known.items() if overlap < usual - UNLIKE]
     cue = "overlap with the mask" if masks else "contrast along the outline"
