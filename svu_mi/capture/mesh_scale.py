@@ -14,7 +14,7 @@ from svu_mi.core.arrays import evenly_spaced
 RATIOS = (10.0, 25.4, 39.37, 100.0, 1000.0)
 FACTORS = tuple(1 / ratio for ratio in RATIOS) + RATIOS
 X90 = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotation about +X
-TURNS = [np.linalg.matrix_power(X90, number) for number in range(4)]  # of usual up axes
+TURNS = [np.linalg.matrix_power(X90, number) for number in (1, 2, 3)]  # to other up axes
 VERTICES, VIEWS = 400, 16  # sample sizes
 INSIDE = 0.5  # share of cameras in the bounding box of the mesh that is suspicious
 HIDDEN = 0.25  # share of visible vertices below which a mesh is not framed by its cameras
@@ -71,6 +71,7 @@ def wrong_scale(
     vertices = np.concatenate([vertices, [(low + high) / 2]])  # of a large triangle
     share, size, blind = framing(vertices, some)
     ratio = 1.0 if points is None else _ratio_of_points(points, width)
+    needs_factor = False
     if inside >= INSIDE * len(sensors) and share < HIDDEN:
         problem = (
             f"{inside} of {len(sensors)} cameras are inside the bounding box of the mesh, whose "
@@ -82,11 +83,13 @@ def wrong_scale(
         )
     elif size < TINY:
         problem = f"the mesh covers {size:.1g} of the width of the photographs"
-    elif blind > UNSEEN and _best_factors(vertices, some, None):  # or the axes are wrong
+    elif blind > UNSEEN:
         problem = f"the mesh is outside of {blind:.0%} of the photographs"
+        needs_factor = True  # otherwise, the axes may be wrong
     else:
         return None
-    return WrongScale(problem, _best_factors(vertices, some, None if points is None else ratio))
+    factors = _best_factors(vertices, some, None if points is None else ratio)
+    return None if needs_factor and not factors else WrongScale(problem, factors)
 
 
 def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> list[float]:
@@ -94,14 +97,9 @@ def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | N
 
     If there is none, the mesh may also have another up axis.
     """
+    sizes = _framed_sizes(vertices, sensors, FACTORS)
     for turn in TURNS:
-        sizes = {}
-        for factor in FACTORS if turn is TURNS[0] else (1.0, *FACTORS):
-            share, size, _ = framing(vertices @ turn.T * factor, sensors)
-            if share >= FRAMED and SMALL <= size <= LARGE:
-                sizes[factor] = size
-        if sizes:
-            break
+        sizes = sizes or _framed_sizes(vertices @ turn.T, sensors, (1.0, *FACTORS))
     if 1.0 in sizes:  # the axes are wrong, but not the unit
         return []
 
@@ -111,6 +109,18 @@ def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | N
 
     order = sorted(sizes, key=unlikely)
     return [factor for factor in order if 1 / ALIKE < factor / order[0] < ALIKE]
+
+
+def _framed_sizes(
+    vertices: np.ndarray, sensors: Sequence[Any], factors: Sequence[float]
+) -> dict[float, float]:
+    """Return the extent in the photographs by factor, of those with which cameras frame a mesh."""
+    sizes = {}
+    for factor in factors:
+        share, size, _ = framing(vertices * factor, sensors)
+        if share >= FRAMED and SMALL <= size <= LARGE:
+            sizes[factor] = size
+    return sizes
 
 
 def framing(vertices: np.ndarray, sensors: Sequence[Any]) -> tuple[float, float, float]:
