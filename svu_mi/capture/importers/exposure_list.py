@@ -39,29 +39,31 @@ def with_gains(
         return frames, True, []
     if gains in ("none", "estimate"):
         return [replace(frame, exposure=1.0) for frame in frames], gains == "none", []
-    source, unless = gains, ""
     if gains is not None and gains != "exif":
-        frames = with_listed_gains(frames, Path(gains))
-    else:
-        source, unless = "EXIF", BRIGHTENED
-        try:
-            frames = with_exif_gains(frames)
-        except CaptureError as error:
-            if gains is not None:
-                raise
-            are_radiance = not any(open_image(frame.image).bits for frame in frames)
-            some = sum(_has_exposure(frame.taken) for frame in frames)
-            note = (
-                f"EXIF: exposures of {some} of {len(frames)} photographs are not used, and gains "
-                f"are estimated if they differ: {error}"
-            )
-            return frames, are_radiance, [note] if some else []
+        listed = with_listed_gains(frames, Path(gains))
+        return listed, True, _differences(listed, gains)
+    try:
+        read = with_exif_gains(frames)
+    except CaptureError as error:
+        if gains is not None:
+            raise
+        are_radiance = not any(open_image(frame.image).bits for frame in frames)
+        some = sum(_has_exposure(frame.taken) for frame in frames)
+        note = (
+            f"EXIF: exposures of {some} of {len(frames)} photographs are not used, and gains are "
+            f"estimated if they differ: {error}"
+        )
+        return frames, are_radiance, [note] if some else []
+    return read, True, [note + BRIGHTENED for note in _differences(read, "EXIF")]
+
+
+def _differences(frames: Sequence[Frame], source: str | Path) -> list[str]:
+    """Return a sentence on how much gains of a ``source`` differ, if they do."""
     each = [frame.exposure for frame in frames]
     ratio = max(each) / min(each)
     if ratio < EQUAL:
-        return frames, True, []
-    note = f"{source}: exposures differ by {ratio:.2g} x; pixels are divided by them.{unless}"
-    return frames, True, [note]
+        return []
+    return [f"{source}: exposures differ by {ratio:.2g} x; pixels are divided by them."]
 
 
 def with_listed_gains(frames: Sequence[Frame], path: Path) -> list[Frame]:
