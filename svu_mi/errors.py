@@ -89,6 +89,12 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
+def first_of(words: Sequence[str], most: int) -> str:
+    """Return at most ``most`` words as text, and the number of the others: ``a, b and 4 more``."""
+    more = f" and {len(words) - most} more" if len(words) > most else ""
+    return ", ".join(words[:most]) + more
+
+
 def printable(value: object) -> str:
     """Return text that is safe to print in one line of a terminal, such as a file name.
 

@@ -17,7 +17,7 @@ from svu_mi.capture.photographs import Photograph
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.capture.surroundings import NESTED, reflecting_shapes
 from svu_mi.core.arrays import evenly_spaced, to_drjit
-from svu_mi.errors import CaptureError, are, counted, excerpt, listed
+from svu_mi.errors import CaptureError, are, counted, excerpt, first_of, listed
 
 NAMED = 3  # photographs that a message lists by name
 FEWEST_FOR_LIGHT = 4  # views of a texel needed to estimate light or gains: it has 5 unknowns
@@ -119,9 +119,8 @@ def _subject(group: Sequence[tuple[Photograph, Path, str]], count: int) -> str:
         return str(path) if name == path.name else f"{path} ({name})"
     if len(group) == count:
         return f"{path.parent}: all {count} photographs"
-    rest = f" and {len(group) - NAMED} more" if len(group) > NAMED else ""
-    some = ", ".join(name for _, _, name in group[:NAMED])
-    return f"{path.parent}: {len(group)} of {count} photographs ({some}{rest})"
+    some = first_of([name for _, _, name in group], NAMED)
+    return f"{path.parent}: {len(group)} of {count} photographs ({some})"
 
 
 def unsupported(

@@ -17,7 +17,7 @@ from svu_mi.capture.analytic_shapes import analytic_mesh
 from svu_mi.capture.mesh import MeshArrays, arrays, joined, make_mesh, unit_vectors
 from svu_mi.capture.replace_material import is_same, is_two_sided, make_scene
 from svu_mi.capture.scene import check_target
-from svu_mi.errors import SceneError, excerpt
+from svu_mi.errors import SceneError, excerpt, first_of
 
 LARGEST = "largest principled"
 LISTED = 12  # shapes in a message
@@ -157,12 +157,11 @@ def _word(shapes: Sequence[Any], shape: Any) -> str:
 
 def _listed(shapes: Sequence[Any], some: Sequence[Any]) -> str:
     """Return the options that choose each of some shapes, to be typed as they are."""
-    options = [
-        f"--shape {shlex.quote(_word(shapes, shape))} ({excerpt(shape.class_name())})"
-        for shape in some[:LISTED]
-    ]
-    more = f" and {len(some) - LISTED} more" if len(some) > LISTED else ""
-    return ", ".join(options) + more
+    return first_of(
+        [f"--shape {shlex.quote(_word(shapes, shape))} ({excerpt(shape.class_name())})"
+         for shape in some],
+        LISTED,
+    )  # fmt: skip
 
 
 def _has_principled(shape: Any) -> bool:

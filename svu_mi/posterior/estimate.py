@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.replace_material import other_shapes
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError, counted
+from svu_mi.errors import OptionError, counted, first_of
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimators import inflated
 from svu_mi.posterior.observations import Observed, observe
@@ -88,13 +88,13 @@ class Estimate:
         if self.prediction is None:
             return None
         capture = None if self.observed is None else self.observed.capture
-        said = self.prediction.sentence() + self.odd_sentence
-        if capture is None or capture.found_light is None:
-            return said + self._plane_sentence(self.prediction.cause)
-        others = ""
-        if other_shapes(capture.scene, capture.shape):
-            others = ", as if the object were alone: give the light, or leave other shapes out"
-        return f"{said} The light was estimated from all photographs{others}."
+        light = self._plane_sentence(self.prediction.cause)
+        if capture is not None and capture.found_light is not None:
+            others = ""
+            if other_shapes(capture.scene, capture.shape):
+                others = ", as if the object were alone: give the light, or leave other shapes out"
+            light = f"The light was estimated from all photographs{others}."
+        return " ".join(filter(None, [self.prediction.sentence(), self.odd_sentence, light]))
 
     @property
     def odd_sentence(self) -> str:
@@ -104,11 +104,9 @@ class Estimate:
             return ""
         capture = self.observed.capture
         used = list(compress(capture.names, capture.used))
-        more = f" and {len(odd) - NAMED} more" if len(odd) > NAMED else ""
-        named = ", ".join(used[k] for k in odd[:NAMED])
         return (
-            f" Predicted much worse than the others: {named}{more}. If blurred or with a wrong "
-            "pose, remove such photographs and use --missing leave-out."
+            f"Predicted much worse than the others: {first_of([used[k] for k in odd], NAMED)}. If "
+            "blurred or with a wrong pose, remove such photographs and use --missing leave-out."
         )
 
     def _plane_sentence(self, cause: str) -> str:
@@ -116,7 +114,7 @@ class Estimate:
         albedo = self.observed and self.observed.plane
         if albedo is None:
             return ""
-        assumed = f" Instead of the light from below, a grey plane of albedo {albedo:g} is assumed"
+        assumed = f"Instead of the light from below, a grey plane of albedo {albedo:g} is assumed"
         if cause != "surroundings":
             return f"{assumed}."
         return (

@@ -68,7 +68,7 @@ from svu_mi.posterior.estimate import Estimate
 SIDE = 128  # maximum side of the compared photographs in pixels
 TEXELS = 48  # texels per side to test light from below
 VIEWS = 40  # maximum number of views for comparing colours
-UNLIKE = 0.15  # least difference of overlap from the median of a photograph that is named
+UNLIKE = 0.15  # least distance of a photograph's overlap or contrast below the median to be named
 INSIDE = 0.8  # overlap of mesh and inverted masks, from which the masks are inverted
 INVERTED = (
     "The masks show the background: inverted, they overlap the mesh. Invert them (white is the "
@@ -121,7 +121,7 @@ def check(
     if axial[1].verdict == "fits":
         with progress.stage("Predicting held-out photographs"):
             found = _estimated(small, exposure_checks.unit_of(capture, small))
-        odd = _findings("cameras", "unclear", found.odd_sentence.strip() if found else None)
+        odd = _findings("cameras", "unclear", found.odd_sentence if found else None)
         is_alone = not other_shapes(capture.scene, capture.shape)
         if found and is_alone and is_seen_from_above(capture):
             sources = _missing(found) or sources
@@ -143,16 +143,16 @@ def check(
 
 def _unlike(views: tuple[ViewCheck, ...]) -> tuple[Finding, ...]:
     """Return a finding if single outlines fit the photographs much less than the others."""
-    masks = [view for view in views if view.overlap is not None]
-    fits = {view.name: view.overlap if masks else view.contrast for view in masks or views}
+    masked = any(view.overlap is not None for view in views)
+    fits = {view.name: view.overlap if masked else view.contrast for view in views}
     known = {name: fit for name, fit in fits.items() if fit is not None}
     usual = float(np.median(list(known.values()) or [0.0]))
-    odd = [name for name, overlap in known.items() if overlap < usual - UNLIKE]
-    cue = "overlap with the mask" if masks else "contrast along the outline"
+    odd = [name for name, fit in known.items() if fit < usual - UNLIKE]
+    cue = "overlap with the mask" if masked else "contrast along the outline"
     return _findings("cameras", "unclear", None if not odd else (
-        f"The {cue} is {usual:.2f}, but "
-        f"{known[odd[0]]:.2f} in {odd[0]} ({counted(len(odd), 'such photograph')}): check whether "
-        "photograph, mask and pose belong together."
+        f"The {cue} is {usual:.2f}, but {known[odd[0]]:.2f} in {odd[0]} "
+        f"({counted(len(odd), 'such photograph')}): check whether photograph, mask and pose belong "
+        "together."
     ))  # fmt: skip
 
 
@@ -342,7 +342,7 @@ def _estimated(small: Capture, unit: float) -> Estimate | None:
     images = tuple(image * np.float32(unit) for image in small.images)
     try:
         return estimate(replace(small, images=images), texels(small.mesh, TEXELS))
-    except SvuError:
+    except SvuError:  # such as photographs without any texel
         return None
 
 

@@ -19,6 +19,7 @@ from svu_mi.calibration.checks.pose_scores import (
 )
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.capture.importers.axis_fixes import FIXES
+from svu_mi.errors import first_of
 
 INSIDE_OUT = "mesh-inside-out"
 POOR_OVERLAP = 0.7  # minimum intersection over union of silhouettes and masks
@@ -283,12 +284,11 @@ def report_gains(
 def _odd_gains(gains: ViewGains, names: Sequence[str]) -> str:
     odd = np.flatnonzero(gains.odd)
     odd = odd[np.argsort(-np.abs(gains.log[odd]), kind="stable")]
-    each = [f"{names[k]} (x {np.exp(gains.log[k]):.2f})" for k in odd[:NAMED]]
-    more = f" and {len(odd) - NAMED} more" if len(odd) > NAMED else ""
+    each = first_of([f"{names[k]} (x {np.exp(gains.log[k]):.2f})" for k in odd.tolist()], NAMED)
     subject = "One photograph has" if len(odd) == 1 else f"{len(odd)} photographs have"
     which = "it" if len(odd) == 1 else "them"
     return (
-        f"{subject} a different gain: {', '.join(each)}{more}; give the exposure of each "
+        f"{subject} a different gain: {each}; give the exposure of each "
         f"photograph (svu import --exposures, or divide its pixels by it), or exclude {which}."
     )
 

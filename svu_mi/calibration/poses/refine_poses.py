@@ -82,7 +82,7 @@ class RefinedPoses:
             parts.append("outlines by {:.2g} before, {:.2g} pixels after".format(*self.outlines))
         if np.isfinite(self.r2[0]):
             parts.append(f"held-out photographs are predicted with {r2}")
-        return f"{'; '.join(parts)}.{self.odd}"
+        return " ".join(filter(None, [f"{'; '.join(parts)}.", self.odd]))
 
 
 def refine_poses(capture: Capture, progress: Progress | None = None) -> RefinedPoses:
