@@ -129,7 +129,7 @@ class TiledKernel(Kernel):
         for span in self._spans(len(self._seen)):
             texels = self._seen[span]
             tile, own = self.make(texels), np.arange(len(texels))
-            if isinstance(tile, CalibratedKernel):
+            if tile.continuous:
                 tiles.append((tile.summary, tile.noise))
                 self._keep_ends(texels, tile)
             else:
