@@ -1,4 +1,4 @@
-"""Meshes in another unit than the poses, detected by what the cameras around them show."""
+"""Meshes in another unit than the poses, detected by their extent in the photographs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -95,7 +95,7 @@ def wrong_scale(
 def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | None) -> list[float]:
     """Return the usual factor with which the cameras frame the mesh best, and similar ones.
 
-    If there is none, the mesh may also have another up axis.
+    Without such a factor, the mesh may also have another up axis.
     """
     sizes = _framed_sizes(vertices, sensors, FACTORS)
     for turn in TURNS:
@@ -114,7 +114,7 @@ def _best_factors(vertices: np.ndarray, sensors: Sequence[Any], ratio: float | N
 def _framed_sizes(
     vertices: np.ndarray, sensors: Sequence[Any], factors: Sequence[float]
 ) -> dict[float, float]:
-    """Return the extent in the photographs by factor, of those with which cameras frame a mesh."""
+    """Return the extent in the photographs by factor, for factors with a well-framed mesh."""
     sizes = {}
     for factor in factors:
         share, size, _ = framing(vertices * factor, sensors)
