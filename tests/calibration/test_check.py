@@ -24,6 +24,7 @@ from svu_mi.bench.spoiled_captures import foreign_mesh, on_table
 from svu_mi.calibration.checks.axis_hypotheses import apply_fixes, light_hypotheses, pose_hypotheses
 from svu_mi.calibration.checks.check import _unlike, find_axis_mistakes
 from svu_mi.calibration.checks.decisions import (
+    LIGHT_CERTAIN,
     LIGHT_IMPROVEMENT,
     decide_light,
     decide_poses,
@@ -206,6 +207,15 @@ def test_a_wrong_light_is_named(capture, lit, case):
     assert same(finding.fixes, case.fixes)
 
 
+def test_the_map_of_another_place_is_not_called_a_turned_one():
+    """Some orientation of it fits better than the given one."""
+    plastic = {"type": "principled", "roughness": 0.2}
+    outside = photographed(cluster(), sky(lights.overcast()), plastic)
+    foreign = DistantLight.of(mi.load_dict(sky(lights.window())), np.eye(3))
+    finding = decide_light(score_light(foreign, *seen_by(outside), quiet))
+    assert (finding.verdict, bool(finding.fixes)) == ("unclear", True), finding.sentence
+
+
 def test_a_right_capture_is_left_alone(capture):
     assert pose_finding(without_masks(capture))[0].verdict == "fits"
     findings, _ = find_axis_mistakes(eight_bit(before_wall(capture)))
@@ -343,8 +353,16 @@ def test_an_even_light_that_is_right_is_left_alone(paint):
     assert finding.verdict == "unknown" and "constant" in finding.sentence
 
 
-@pytest.mark.parametrize(("part", "verdict"), [(0.9, "fits"), (1.1, "wrong")])
-def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
+@pytest.mark.parametrize(
+    ("gain", "verdict"),
+    [
+        (0.9 * LIGHT_IMPROVEMENT, "fits"),
+        (1.1 * LIGHT_IMPROVEMENT, "unclear"),
+        (0.9 * LIGHT_CERTAIN, "unclear"),
+        (1.1 * LIGHT_CERTAIN, "wrong"),
+    ],
+)
+def test_a_light_is_wrong_if_another_way_explains_enough_more(gain, verdict):
     """Two cues support it; all other orientations are much worse."""
     hypotheses = light_hypotheses()
     current = next(one for one in hypotheses if not one.fixes)
@@ -353,7 +371,7 @@ def test_a_light_is_wrong_if_another_way_explains_enough_more(part, verdict):
     now = next(one for one in scores if one.hypothesis is current)
     scores = [replace(one, shading=0.1) for one in scores if one is not now] + [now]
     plain = LightScore(best, 0.52, 0.52, 0.0)
-    rest = now.total + part * LIGHT_IMPROVEMENT - plain.total  # explained by highlights
+    rest = now.total + gain - plain.total  # explained by highlights
     scores.append(replace(plain, highlights=1 - np.exp(-rest)))
     finding = decide_light(sorted(scores, key=lambda one: -one.total))
     assert finding.verdict == verdict, finding.sentence

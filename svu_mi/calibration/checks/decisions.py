@@ -29,6 +29,9 @@ STRANGE = 0.1  # agreement of views below which photographs may belong to other 
 # lights (16 photographs of 96 pixels, EXR and 8 bits), wrong orientations of correct captures gain
 # at most 0.034; the best orientation of wrongly imported EXR captures gains at least 0.9.
 LIGHT_IMPROVEMENT = 0.06
+# Least difference that makes it certain. On three objects under four lights, the best orientation
+# of the map of another light gains at most 0.53.
+LIGHT_CERTAIN = 0.6
 LIGHT_MARGIN = 0.03  # smaller score differences are ties
 LIGHT_RANGE = 0.2  # minimum range of the score over all orientations
 LEAST_CUE = 0.1  # minimum cue that supports an orientation
@@ -214,6 +217,12 @@ def decide_light(scores: Sequence[LightScore]) -> Finding:
             verdict="unclear", fixes=names, alternatives=alternatives,
             sentence=f"The light does not fit the photographs ({figures}); "
             f"{_choices((names, *alternatives))} would fit equally well.",
+        )  # fmt: skip
+    if improvement < LIGHT_CERTAIN:
+        return finding(
+            verdict="unclear", fixes=names,
+            sentence=f"The light does not fit the photographs ({figures}); {_choices([names])} "
+            f"fits better ({_light_figures(best)}), but so may the map of another place.",
         )  # fmt: skip
     sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
     return finding(verdict="wrong", fixes=names, sentence=sentence)
