@@ -25,7 +25,8 @@ import scipy
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import row_entropy
-from svu_mi.posterior.calibrated import CalibratedKernel, prior_tables
+from svu_mi.posterior.calibrated import CalibratedKernel
+from svu_mi.posterior.calibrated_prior import prior_tables
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import bin_edges, bin_widths

@@ -21,13 +21,8 @@ from svu_mi.core.progress import Progress, Stage
 from svu_mi.core.validation import MAX_LANES
 from svu_mi.errors import OptionError
 from svu_mi.posterior.angular import angular_posterior
-from svu_mi.posterior.calibrated import (
-    CalibratedKernel,
-    calibrated_posterior,
-    fit,
-    posterior_of,
-    problem_of,
-)
+from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior, posterior_of
+from svu_mi.posterior.calibrated_fit import fit, problem_of
 from svu_mi.posterior.kept_results import (
     pack_factors,
     pack_fit,

@@ -26,7 +26,7 @@ from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.light_tree import LightTree
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.parameters import NAMES
-from svu_mi.posterior.calibrated import CalibratedFit
+from svu_mi.posterior.calibrated_fit import CalibratedFit
 from svu_mi.posterior.calibrated_kernel import PosteriorSummary
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.prediction import CAUSES, SIDES, FoldTest, HeldOutPrediction, PartPrediction

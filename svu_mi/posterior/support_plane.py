@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from svu_mi.core.arrays import evenly_spaced
-from svu_mi.posterior.calibrated import noise_of_parts
+from svu_mi.posterior.calibrated_fit import noise_of_parts
 from svu_mi.posterior.estimators import EstimatorInputs, gather_sums, posterior_inputs, view_counts
 from svu_mi.posterior.folds import ENOUGH
 from svu_mi.posterior.kept_results import pack_share, restore_share

@@ -20,7 +20,8 @@ from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.geometry.sample_view import fold
 from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.parameters import MIXED
-from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior, noise_of_parts
+from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
+from svu_mi.posterior.calibrated_fit import noise_of_parts
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1

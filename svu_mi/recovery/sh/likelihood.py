@@ -1,6 +1,6 @@
 """Losses of SH recovery: likelihood, and quadratic priors around posterior means.
 
-Both use the statistics and noise levels of the calibrated posterior (``posterior/calibrated.py``).
+Both use the statistics and noise of the calibrated posterior (``posterior/calibrated_fit.py``).
 Their cost is independent of the number of photographs.
 """
 
