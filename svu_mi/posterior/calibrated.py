@@ -38,6 +38,7 @@ from svu_mi.statistics.statistics import Statistics
 
 DRAWN_TOGETHER = 8  # draws of a pass over the nodes; more of them make a larger kernel
 TEXELS_PER_CHUNK = 2**17  # texels whose node masses are in memory at the same time
+LEAST_SD = 1e-4  # least standard deviation of the normal distribution of an interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +177,14 @@ class CalibratedKernel(Kernel):
             for first in range(0, len(lanes), TEXELS_PER_CHUNK)
         ]
         low, high = (np.concatenate([ends[k] for ends in chunks]) for k in range(2))
-        return low, high
+        if name != "base_color":
+            return low, high
+        # Narrower than a part, a posterior is close to normal.
+        mean, sd = self._own_moments(name, texels)
+        half = NormalDist().inv_cdf((1 + level) / 2) * np.maximum(sd, np.float32(LEAST_SD))
+        normal = sd < 0.5 / COLOR_PARTS
+        low = np.where(normal, np.maximum(mean - half, 0), low)
+        return low, np.where(normal, np.minimum(mean + half, 1), high)
 
     def widened_ends(self, name: str, level: float, ends: Pair, texels: np.ndarray) -> Pair:
         """Return the ends of intervals, given those of ``own_ends``."""
@@ -204,7 +212,8 @@ class CalibratedKernel(Kernel):
         problem = self.problem
         parts = uniform_axis(self.grid.axes["base_color"], COLOR_PARTS)
         tables = kernel.color_masses(problem, parts, lanes)
-        ends = [shortest_interval(masses, parts, len(lanes), level) for masses in tables]
+        ends = [shortest_interval(masses, parts, len(lanes), level, divided=True)
+                for masses in tables]  # fmt: skip
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
         return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
 
