@@ -4,8 +4,6 @@
 imports Dr.Jit. Public names are imported on first use. No Mitsuba variant is set.
 """
 
-from __future__ import annotations
-
 import importlib
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any

@@ -4,8 +4,6 @@ Bins are grouped into rows: bins of a row differ only in the last parameter (bas
 a (roughness, Ks) grid, each roughness is a row, and Kd is the best value in [0, 1] for each Ks.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import prod

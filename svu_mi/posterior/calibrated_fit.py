@@ -1,7 +1,5 @@
 """Inputs of the calibrated posterior, and the noise of texels, estimated from their residuals."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, NamedTuple
 

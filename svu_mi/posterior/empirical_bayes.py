@@ -12,8 +12,6 @@ over the surface, and the mean is raised to a power < 1, since smoothing counts 
 texel. Without neighbours, the power is > 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

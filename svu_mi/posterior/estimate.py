@@ -1,7 +1,5 @@
 """Result of an estimate, from which later stages start."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import compress

@@ -3,8 +3,6 @@
 Statistics and posterior of all texels at once are read from the cache if it contains them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Test of an estimate by folds of the views: spread of its error bars, and held-out prediction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

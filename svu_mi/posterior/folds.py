@@ -17,8 +17,6 @@ share (notebooks/design/calibration.md). If held-out photographs are predicted b
 by a further factor of 1.5, because the error that shows there is seldom the only one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Credible intervals: the shortest interval with a given probability."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

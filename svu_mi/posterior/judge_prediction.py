@@ -1,7 +1,5 @@
 """How well held-out samples are predicted, as a whole and by photograph and side."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -9,8 +9,6 @@ Arrays of a file are checked before kernels use them as indices: a forged file m
 read elsewhere.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Interface of kernels, which compute the posterior of given texels."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

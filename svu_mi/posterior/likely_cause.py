@@ -4,8 +4,6 @@ The limits were chosen on vase, knot and spheres under window and studio, with o
 time (``svu bench verdict``); other objects and lights report how often they are right.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from svu_mi.posterior.photograph_patterns import GROUPS, PhotographPatterns

@@ -8,8 +8,6 @@ with weight w (``AngularPreset.bare_metals``). Beta has the mean and the varianc
 of ten bare metals; the uniform density covers oxides, dirt and alloys, from d.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import betainc
 

@@ -11,8 +11,6 @@ e weighs the usual share u of metals, and limits the odds, because errors of the
 the whole object. Both were chosen on our own scenes.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

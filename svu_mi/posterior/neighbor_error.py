@@ -10,8 +10,6 @@ Edges and slopes of a texture change the median little. Errors that neighbours s
 one pixel do, and neighbours across seams are not seen.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -4,8 +4,6 @@ At each node, base colour is integrated in closed form per channel. Nodes of neg
 skipped. A callback accumulates results over the nodes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

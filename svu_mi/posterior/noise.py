@@ -16,8 +16,6 @@ Errors of neighbouring views are correlated: N samples count as N / tau (overdis
 constants were chosen on the example scenes (notebooks/design/calibration.md).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from svu_mi.parameters import CHANNELS

@@ -1,7 +1,5 @@
 """Patterns of residuals by photograph: its brightness, its shift, and the object that it shows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

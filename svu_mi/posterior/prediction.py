@@ -6,8 +6,6 @@ material: a model that predicts no better is wrong somewhere. Errors are those o
 radiance (``residuals``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Patterns of residuals by mirror direction: an error of the light, or of what surrounds it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -6,8 +6,6 @@ separate value of the last parameter, independent of the other groups given the 
 computed over (row, last parameter) for each group and averaged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

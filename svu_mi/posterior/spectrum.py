@@ -1,7 +1,5 @@
 """Posterior from power spectra (Eq. 3, 5 and 11)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any

@@ -9,8 +9,6 @@ principled grid, rows of bins differ in base colour, and degree 0 adds a term: a
 has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

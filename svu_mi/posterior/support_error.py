@@ -11,8 +11,6 @@ with the irradiance H of the plane. The logarithm of base colour has the standar
 4 [Ramamoorthi and Hanrahan 2001]; the object's own shadows are neglected.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from svu_mi.capture.capture import Capture

@@ -6,8 +6,6 @@ the noise s of the samples. The darkest plane with nearly the largest gain is ke
 object's shadow, which is not modelled, darkens it (limits: notebooks/design/calibration.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Marginals, samples and mean colours of bin probabilities, in NumPy."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Posterior from tabulated energies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

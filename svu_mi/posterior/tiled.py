@@ -5,8 +5,6 @@ on neighbours, perhaps of another tile, so they are computed after the first pas
 recompute the statistics of the requested texels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -4,8 +4,6 @@ Degrees above the band limit of the light are not skipped, because samples on a 
 leak power into them (notebooks/design/reflection.md).
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -10,8 +10,6 @@ This is a sample of radiance t and weight h. If the model is far below b, t is a
 1; if it is far above, h is 0. Each roughness level uses parabolas around its own best model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Statistics from photographs: one kernel and one pass over the views."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf, nan
 from typing import Any, NamedTuple, Protocol

@@ -4,8 +4,6 @@ N rows of S values are stored as (ceil(S / 16), N, 16), so a packet of lanes rea
 In an array of shape (N, S) it would read N pages, which is five times slower.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -1,7 +1,5 @@
 """Check of cameras, mesh, light and gains of a capture against its photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import compress

@@ -1,7 +1,5 @@
 """Refinement of camera poses: outlines first, then textures, from coarse to fine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """Writing of capture folders from imported sources."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
