@@ -12,9 +12,11 @@ parameter, r^2 is the ratio of both sides' sums over a sample of texels and all 
 
     s <- s max(1, r).
 
-Means stay. ``blur_error`` of low roughness and ``neighbor_error`` account for errors that all sides
-share (notebooks/design/calibration.md). If held-out photographs are predicted badly, s is increased
-by a further factor of 1.5, because the error that shows there is seldom the only one.
+Differences above 3 s_k count as 3 s_k: they are of a few texels that change from one explanation to
+another, which their neighbours show (``neighbor_error``). Means stay. ``blur_error`` of low
+roughness accounts for errors that all sides share (notebooks/design/calibration.md). If held-out
+photographs are predicted badly, s is increased by a further factor of 1.5, because the error that
+shows there is seldom the only one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,6 +29,7 @@ MIN_VIEWS = 6  # minimum number of views of a texel
 UNRELIABLE = 1.5  # factor of standard deviations if held-out photographs are predicted badly
 BLUR, SHARPEST = 1e-4, 0.1  # radians^2; roughness below which the error of blur is constant
 ROUNDS = 20  # rounds of k-means
+MOST = 3.0  # largest difference of means that counts, relative to s_k
 TINY = 1e-9
 
 
@@ -113,8 +116,8 @@ def spread_factors(
     factors = {}
     for name, of_folds in moments.items():
         mean, sd = (x.astype(np.float64) for x in of_folds)
-        moved = np.square(mean[1:] - mean[0])[there].sum()
+        moved = np.minimum(np.abs(mean[1:] - mean[0]), MOST * sd[1:])[there]
         grown = (np.square(sd[1:]) - np.square(sd[0]))[there].sum()
-        ratio = moved / grown if grown > TINY else 0.0
+        ratio = np.square(moved).sum() / grown if grown > TINY else 0.0
         factors[name] = float(np.sqrt(1 + trust * max(ratio - 1, 0.0)))
     return factors

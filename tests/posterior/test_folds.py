@@ -114,6 +114,14 @@ def test_factor_is_not_below_1():
     assert spread_factors(60, there, {"metallic": (same, sd)}) == {"metallic": 1.0}
 
 
+def test_one_texel_that_changes_a_lot_does_not_decide_the_factor():
+    """199 of 200 texels change by half of what their variance grows, one by ten deviations."""
+    there, sd = np.ones((1, 200), bool), np.array([0.1, 0.2]) * np.ones((200, 1))
+    mean = np.where(np.arange(200) == 7, 2.0, np.sqrt(0.015)) * np.array([[0.0], [1.0]])
+    found = spread_factors(60, there, {"metallic": (mean[..., None], sd.T[..., None])})
+    assert found["metallic"] == 1.0
+
+
 def test_bits_without_groups():
     words = np.random.default_rng(2).integers(0, 2**32, (2, 5), np.uint32)
     bits = replace(Bits.clear(40, 5), words=as_uint32(words.ravel()))
