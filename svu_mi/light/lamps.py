@@ -8,7 +8,7 @@ faces it; 0 where it is hidden.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -30,10 +30,11 @@ class Lamps:
     """N cells of lamps, as seen from S texels.
 
     Attributes:
-        toward: (4 N S,) Float, direction to a cell and its radius [rad], by cell and lane.
-        flux: (4 N S,) Float, irradiance R, G, B and their mean, by cell and lane.
+        toward: (4 N L,) Float, direction to a cell and its radius [rad], by cell and lane.
+        flux: (4 N L,) Float, irradiance R, G, B and their mean, by cell and lane.
         moments: Diffuse moments (``LightVisibility.diffuse``), 8 (S,) Floats for R, G and B.
-        number, lanes: Opaque UInt32, N and S.
+        number, lanes: Opaque UInt32, N and L.
+        place: (S,) UInt32, lane of each texel.
     """
 
     toward: Any
@@ -41,22 +42,17 @@ class Lamps:
     moments: list[list[Any]]
     number: Any
     lanes: Any
+    place: Any
 
     def subset(self, lanes: np.ndarray) -> Lamps:
-        """Return the cells as seen from selected lanes."""
+        """Return the cells as seen from selected texels."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
-        count = dr.opaque(mi.UInt32, len(lanes))
-        place = dr.arange(mi.UInt32, int(self.number[0]) * len(lanes))
-        source = dr.gather(mi.UInt32, chosen, place % count) + place // count * self.lanes
-        toward, flux = (dr.gather(mi.Vector4f, x, source) for x in (self.toward, self.flux))
-        moments = [[dr.gather(mi.Float, x, chosen) for x in each] for each in self.moments]
-        toward, flux = dr.ravel(toward), dr.ravel(flux)
-        dr.eval(toward, flux, moments)
-        return Lamps(toward, flux, moments, self.number, count)
+        moments, place = dr.gather(list, [self.moments, self.place], chosen)
+        return replace(self, moments=moments, place=place)
 
     def seen_from(self, lane: Any) -> LampCells:
         """Return the cells as seen from one texel per lane."""
-        return LampCells(self, lane)
+        return LampCells(self, dr.gather(mi.UInt32, self.place, lane))
 
 
 class LampCells:
@@ -105,7 +101,7 @@ def trace_lamps(scene: Any, lamps: Sequence[Any], surface: TexelLanes, *, occlud
         dr.eval(toward, flux, sums)
         first += side * side
     moments = [sums[k : k + MOMENTS] for k in range(0, len(sums), MOMENTS)]
-    return Lamps(toward, flux, moments, dr.opaque(mi.UInt32, total), lanes)
+    return Lamps(toward, flux, moments, dr.opaque(mi.UInt32, total), lanes, surface.lane)
 
 
 def _sides(lamp: Any, surface: TexelLanes) -> int:

@@ -8,7 +8,7 @@ group of coarse cells is partly hidden.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -30,22 +30,19 @@ class LightVisibility:
     """Visibility of the light's cells from S texels.
 
     Attributes:
-        coarse, fine: Visibility bits of coarse and fine cells in S lanes.
-        texel: (S,) UInt32, index of each lane's texel among all texels.
+        coarse, fine: Visibility bits of coarse and fine cells from traced texels.
+        place: (S,) UInt32, the traced texel whose bits each texel has.
     """
 
     tree: LightTree
     coarse: Bits
     fine: Bits
-    texel: Any
+    place: Any
 
     def subset(self, lanes: np.ndarray) -> LightVisibility:
-        """Return the visibility from selected lanes."""
+        """Return the visibility from selected texels."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
-        return LightVisibility(
-            self.tree, self.coarse.at(chosen), self.fine.at(chosen),
-            dr.gather(mi.UInt32, self.texel, chosen),
-        )  # fmt: skip
+        return replace(self, place=dr.gather(mi.UInt32, self.place, chosen))
 
     def diffuse(self, surface: TexelLanes, lighting: Lighting, channels: int) -> list[list[Any]]:
         """Return the diffuse moments of the visible light: 8 Floats (S,) per channel.
@@ -54,12 +51,12 @@ class LightVisibility:
         of the incident direction w (Schlick). Values are scaled so that c0 without occlusion is the
         SH irradiance.
         """
-        cells, lane = self.tree.fine, surface.lane
+        cells, place = self.tree.fine, self.place
 
         def add(cell: Any, *state: Any) -> tuple[Any, ...]:
             direction, flux = cells.at(cell)[0], cells.light(cell, channels)
             cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
-            free, added = self.fine.test(cell, lane), []
+            free, added = self.fine.test(cell, place), []
             for value in flux:
                 received = dr.select(free, value, 0)
                 added += [*diffuse_moments(received, cosine, direction), value * cosine]
@@ -78,9 +75,12 @@ class LightVisibility:
 
 
 def trace_light_visibility(
-    scene: Any, surface: TexelLanes, tree: LightTree, *, occluded: bool = True
+    scene: Any, surface: TexelLanes, tree: LightTree, place: Any = None, *, occluded: bool = True
 ) -> LightVisibility:
-    """Trace light cells from texels; with ``occluded=False``, only test the horizon."""
+    """Trace light cells from texels; with ``occluded=False``, only test the horizon.
+
+    ``place`` is the lane whose visibility each texel has (default: its own).
+    """
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(tree.coarse.number, count)
     fine = Bits.clear(tree.fine.number, count)
@@ -127,7 +127,7 @@ def trace_light_visibility(
     none = dr.zeros(mi.UInt32, count)
     fold(mi.UInt32(0), tree.group_count, trace_group, none, none)
     dr.eval(coarse, fine)
-    return LightVisibility(tree, coarse, fine, surface.index)
+    return LightVisibility(tree, coarse, fine, lane if place is None else place)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ They exclude the object as photographed, which each lobe samples by rays (``Near
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -32,36 +32,34 @@ class NearLight:
     """Light from other surfaces at S texels.
 
     Attributes:
-        values: (4 K S,) Float: K coefficients of R, G, B and H in the order of ``EVEN``, each of
-            all lanes.
+        values: (4 K N,) Float: K coefficients of R, G, B and H in the order of ``EVEN``, each at
+            all N traced texels.
         moments: Diffuse moments (``LightVisibility.diffuse``), 8 (S,) Floats for R, G and B.
-        count: Opaque UInt32, S.
+        count: Opaque UInt32, N.
+        place: (S,) UInt32, index of each texel among the traced ones.
         shown: Scene whose first shape is the object as photographed; None if it is black.
     """
 
     values: Any
     moments: list[list[Any]]
     count: Any
+    place: Any
     shown: Any = None
 
     def subset(self, lanes: np.ndarray) -> NearLight:
-        """Return the light of selected lanes."""
+        """Return the light at selected texels."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
-        count = dr.opaque(mi.UInt32, len(lanes))
-        place = dr.arange(mi.UInt32, PARTS * len(EVEN) * len(lanes))
-        source = dr.gather(mi.UInt32, chosen, place % count) + place // count * self.count
-        values = dr.gather(mi.Float, self.values, source)
-        moments = [[dr.gather(mi.Float, x, chosen) for x in each] for each in self.moments]
-        dr.eval(values, moments)
-        return NearLight(values, moments, count, self.shown)
+        moments, place = dr.gather(list, [self.moments, self.place], chosen)
+        return replace(self, moments=moments, place=place)
 
     def at(self, lane: Any, local: Any) -> list[list[Any]]:
         """Evaluate R, G, B and H in a direction of the local frame: a Float for each degree."""
         basis, size = dr.sh_eval(local, DEGREE), len(EVEN)
+        place = dr.gather(mi.UInt32, self.place, lane)
         parts = [[mi.Float(0)] * (DEGREE + 1) for _ in range(PARTS)]
         for part, of_degree in enumerate(parts):
             for k, index in enumerate(EVEN):
-                value = dr.gather(mi.Float, self.values, (part * size + k) * self.count + lane)
+                value = dr.gather(mi.Float, self.values, (part * size + k) * self.count + place)
                 l = int(index**0.5)
                 of_degree[l] = dr.fma(value, basis[index], of_degree[l])
         return parts
@@ -121,4 +119,4 @@ def trace_near_light(
     values = scatter_strided(dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes)
     moments = [sums[first : first + MOMENTS] for first in range(size, len(sums), MOMENTS)]
     dr.eval(values, moments)
-    return NearLight(values, moments, lanes, scene if shown else None)
+    return NearLight(values, moments, lanes, surface.lane, scene if shown else None)

@@ -35,6 +35,7 @@ from svu_mi.frequency.sh_lobes import ShLobes
 from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
+from svu_mi.geometry.shared_texels import shared_texels
 from svu_mi.geometry.texels import Texels, filled_image
 from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.above_plane import above_plane
@@ -226,14 +227,16 @@ class Observed:
         """Return the visibility of ``cells`` fine light cells from S texels; cached."""
         key = (cells, occluded)
         if key not in self._rays:
-            tree, surface = self.light_tree(cells), self.surface
+            tree, owners = self.light_tree(cells), shared_texels(self.texels)[self.seen]
+            traced, place = np.unique(owners, return_inverse=True)
+            places = to_drjit(mi.UInt32, place.astype(np.uint32))
             self._rays[key] = self.cache.recall(
                 "occlusion", key,
                 lambda: trace_light_visibility(
-                    self.views.scene, surface, tree, occluded=occluded
+                    self.views.scene, self._lanes(traced), tree, places, occluded=occluded
                 ),
                 pack_light_visibility,
-                partial(restore_light_visibility, tree=tree, texel=surface.index),
+                partial(restore_light_visibility, tree=tree, place=places),
             )  # fmt: skip
         known: LightVisibility = self._rays[key]
         return known

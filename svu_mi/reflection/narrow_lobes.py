@@ -70,13 +70,6 @@ class NarrowLobes:
             result.append([(A * value, B * value, D * value) for value in light])
         if self.sun is None:
             return result
-        return self._with_sun(result, normals, direction, cosine, free)
-
-    def _with_sun(
-        self, lobes: list[Lobe], normals: Normals, direction: Any, cosine: Any, free: Any
-    ) -> list[Lobe]:
-        """Add the sun's disk, with the visibility ``free`` of the mirror direction."""
-        sun = self.sun
-        assert sun is not None
-        sums = LobeSums(self.alpha, len(lobes[0]), normals, direction)
-        return added_lobes(lobes, sums.of_cells(sun, sun.count, free, cosine))
+        # The sun's disk is visible where the mirror direction is.
+        sums = LobeSums(self.alpha, len(result[0]), normals, direction)
+        return added_lobes(result, sums.of_cells(self.sun, self.sun.count, free, cosine))

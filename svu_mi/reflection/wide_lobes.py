@@ -10,7 +10,7 @@ Where normals vary within a texel, lobes narrower than ``BENT`` are averaged ove
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -36,16 +36,6 @@ def added_lobes(first: list[Lobe], second: list[Lobe]) -> list[Lobe]:
         [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
         for both in zip(first, second, strict=True)
     ]  # type: ignore[misc]
-
-
-class Cells(Protocol):
-    """Interface of light cells (``LightCells``)."""
-
-    def at(self, cell: Any) -> tuple[Any, Any]:
-        """Return direction and radius of a cell."""
-
-    def light(self, cell: Any, channels: int) -> list[Any]:
-        """Return the irradiance by a cell, per channel."""
 
 
 class LobeSums:
@@ -79,8 +69,11 @@ class LobeSums:
         pairs = zip(sums, product(lobes, parts), strict=True)
         return [dr.fma(part, lobe, old) for old, (lobe, part) in pairs]
 
-    def of_cells(self, cells: Cells, count: Any, free: Any, cosine: Any) -> list[Lobe]:
-        """Return the lobes of ``count`` cells, in lanes where these are visible (``free``)."""
+    def of_cells(self, cells: Any, count: Any, free: Any, cosine: Any) -> list[Lobe]:
+        """Return the lobes of ``count`` cells in lanes where these are visible (``free``).
+
+        ``cells`` are ``LightCells`` or others with ``at`` and ``light``.
+        """
 
         def add(cell: Any, sums: list[Any]) -> tuple[Any, Any]:
             toward, radius = cells.at(cell)
@@ -160,7 +153,8 @@ class _Traversal:
     """
 
     def __init__(self, visibility: LightVisibility, lane: Any, normal: Any, direction: Any) -> None:
-        self.visibility, self.tree, self.lane = visibility, visibility.tree, lane
+        self.visibility, self.tree = visibility, visibility.tree
+        self.place = dr.gather(mi.UInt32, visibility.place, lane)
         self.normal, self.direction = normal, direction
         # Independent of the widths, so that a known roughness does not change other results.
         self.flat = 1 - NARROW**2
@@ -169,14 +163,14 @@ class _Traversal:
     def visible_cells(self) -> tuple[Any, Any]:
         """Return local memory with indices in ``tree.every``, and their number."""
         listed = dr.alloc_local(mi.UInt32, self.tree.fine.number + ROOM)
-        count = mi.UInt32(self.lane) * 0
+        count = 0 * self.place
         listed, count = fold(mi.UInt32(0), self.tree.coarse.count, self._coarse, listed, count)
         return listed, count
 
     def _coarse(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
         """List a coarse cell or its fine cells; return the next cell, the list and its length."""
         above, lit, large = self._tests(self.tree.coarse, cell)
-        free = self.visibility.coarse.test(cell, self.lane)
+        free = self.visibility.coarse.test(cell, self.place)
 
         def smaller(listed: Any, count: Any) -> tuple[Any, ...]:
             start, end = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
@@ -213,7 +207,7 @@ class _Traversal:
 
             return fold(first, first + dr.select(above, number, 0), add, listed, count)
 
-        free = self.visibility.fine.test(cell, self.lane)
+        free = self.visibility.fine.test(cell, self.place)
         return cell + 1, *dr.if_stmt((listed, count), free, shown, lambda *state: state)
 
     def _tests(self, cells: LightCells, cell: Any) -> tuple[Any, Any, Any]:

@@ -225,8 +225,9 @@ def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():
         assert np.abs(color - hidden).mean() < 0.01
     assert observed.near_light(angular("default")) is None
     some = np.array([3, 0, 3])
-    part, lanes = near.subset(some), near.values.numpy().reshape(-1, observed.surface.count)
-    np.testing.assert_array_equal(part.values.numpy().reshape(-1, 3), lanes[:, some])
+    part, up = near.subset(some), mi.Vector3f(0.6, 0, 0.8)
+    own, chosen = part.at(mi.UInt32([0, 1, 2]), up), near.at(mi.UInt32(some), up)
+    np.testing.assert_array_equal(np.array(own), np.array(chosen))
     np.testing.assert_array_equal(part.moments[0][0].numpy(), near.moments[0][0].numpy()[some])
 
 
