@@ -7,7 +7,7 @@ light, wide lobes sum light cells. ``fast`` has no wide lobes; ``paper`` uses sp
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -28,7 +28,7 @@ from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.near_lobes import NearLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added_lobes
+from svu_mi.reflection.wide_lobes import NARROW, WideLobes, added_lobes
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,6 @@ class IncidentLight:
     flash: FlashLight | None = None
 
 
-class FittedLobes(Protocol):
-    """Interface of lobes that use a fit of each texel's light (``frequency/sh_lobes.py``)."""
-
-    def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
-        """Return the light reflected towards a camera by the lobe of each level."""
-
-
 @dataclass(frozen=True)
 class ReflectionModel:
     """Reflection of S texels at R roughness levels.
@@ -61,7 +54,7 @@ class ReflectionModel:
         roughness: (R,) float64, roughness of the levels, ascending.
         narrow: narrow lobes, of the first levels; or None.
         wide: wide lobes, of the remaining levels; or None.
-        fitted: lobes of all levels if light is fitted per texel; or None.
+        fitted: lobes of all levels (``ShLobes``) if light is fitted per texel; or None.
         near, lamps, flash: lobes of all levels for light from other surfaces and of lamps; or None.
         moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
@@ -71,7 +64,7 @@ class ReflectionModel:
     switches: AngularPreset
     narrow: NarrowLobes | None
     wide: WideLobes | None
-    fitted: FittedLobes | None
+    fitted: Any | None
     moments: list[list[Any]]
     near: NearLobes | None = None
     lamps: LampLobes | None = None
@@ -80,7 +73,7 @@ class ReflectionModel:
     @staticmethod
     def of(
         surface: TexelLanes, light: IncidentLight, roughness: np.ndarray, switches: AngularPreset,
-        fitted: FittedLobes | None = None,
+        fitted: Any | None = None,
     ) -> ReflectionModel:  # fmt: skip
         """Prefilter the light (unless lobes are fitted) and sum its diffuse moments."""
         if np.any(np.diff(roughness) <= 0):

@@ -28,7 +28,6 @@ from svu_mi.statistics.statistics import EDGES, LazyStatistics, noise_weight
 GRAZING = 1e-3  # minimum cosine of the viewing angle
 SMALLEST = 0.05  # minimum error |r - b|, relative to kappa
 
-
 Values = dict[str, list[Any]]
 """Parameters of S texels by name: a Float per channel."""
 
