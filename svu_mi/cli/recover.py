@@ -65,6 +65,9 @@ class Recover(LitCommand, ResultCommand):
     bounces: bool = False
     """Account for light that the object reflects onto itself, as bright as it is in the
     photographs; takes up to twice as long. Not for the presets of the paper."""
+    normals: bool = False
+    """Tilt the normals smoothly so that the model agrees with the photographs, for shiny objects of
+    inexact meshes; writes normal.exr (a normal map) and normal_sd.exr (degrees)."""
     initial: From = None
     """Folder of the initial base_color.exr, roughness.exr and metallic.exr (default: posterior
     means for sh; 0.5 for path and the presets of the paper)."""
@@ -118,6 +121,8 @@ class Recover(LitCommand, ResultCommand):
 
     def _recover(self, progress: Progress, place: Claim) -> IntervalSummary:
         from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
+        from svu_mi.calibration.normals.refine_normals import refine_normals
+        from svu_mi.geometry.texels import texels as make_texels
         from svu_mi.output.interval_summary import IntervalSummary
         from svu_mi.output.write_recovery import DrawOptions, write_recovery
         from svu_mi.pipeline import estimate
@@ -130,6 +135,10 @@ class Recover(LitCommand, ResultCommand):
         size = opt.parse_resolution(self.resolution)
         need = partial(Need, "recover", resolution=size, model="default")
         capture, texels = self.load_with_light(progress, need, size, self.known, again=self.resume)
+        refined = refine_normals(capture, size, progress) if self.normals else None
+        if refined is not None:
+            progress.say(refined.sentence)
+            capture, texels = refined.capture, make_texels(refined.capture.mesh, size)
         _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)
         # Losses of the paper are combined with the posterior of its model.
@@ -153,7 +162,7 @@ class Recover(LitCommand, ResultCommand):
         with progress.stage("Writing the results") as stage:
             run = self.run_info(progress, progress=stage.update)
             write_recovery(
-                capture, recovery, place, run, estimate=known, field=field,
+                capture, recovery, place, run, estimate=known, field=field, normals=refined,
                 draws=DrawOptions(self.drawn, self.seed) if self.drawn else None,
                 pictures=self.pictures,
             )  # fmt: skip

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from svu_mi.calibration.normals.refine_normals import RefinedNormals
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.core.io.exr import write_exr
@@ -47,6 +48,7 @@ def write_recovery(
     capture: Capture, recovery: Recovery, folder: str | os.PathLike[str],
     run: RunInfo | None = None, *, estimate: Estimate | None = None,
     field: TextureField | None = None, draws: DrawOptions | None = None, pictures: bool = True,
+    normals: RefinedNormals | None = None,
 ) -> None:  # fmt: skip
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
@@ -60,6 +62,7 @@ def write_recovery(
         field: Uncertainty of the textures; without it, ``uncertainty.exr`` is from the estimate.
         draws: Number of textures to draw from ``field`` and write to ``draws``; default: none.
         pictures: Whether to write ``recovery.png``, ``relit.png`` and ``draws.png``.
+        normals: Refined normals to write to ``normal.exr`` and ``normal_sd.exr``.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -76,6 +79,9 @@ def write_recovery(
             _draw(capture, recovery, estimate, field, target)
         run.progress(2, 4)
         _write_uncertainty(recovery, estimate, field, target)
+        if normals is not None:
+            write_exr(target / "normal.exr", {"RGB": normals.normals}, about)
+            write_exr(target / "normal_sd.exr", {"Y": normals.sd}, about)
         losses = enumerate(np.asarray(recovery.losses, np.float64))
         lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in losses)]
         write_text(target / LOSSES, "\n".join(lines))

@@ -1,0 +1,1 @@
+"""Shading normals: tilted smoothly so that the model agrees with the photographs."""
