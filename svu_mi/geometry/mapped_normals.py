@@ -20,9 +20,7 @@ def mapped_normals(
     """Return the mean shading normals (Normal3f) of texels with a ``normalmap`` or ``bumpmap``."""
     along = sides[0] * resolution[0], sides[1] * resolution[1]
     texture, of_height = texture_of(layer), layer.class_name() == "BumpMap"
-    frame = mi.Frame3f(normal)
-    frame.s = dr.normalize(along[0] - normal * dr.dot(normal, along[0]))
-    frame.t = dr.cross(normal, frame.s)
+    frame = tangent_frame(normal, along[0])
 
     def read(si: Any) -> Any:
         if of_height:
@@ -44,6 +42,14 @@ def mapped_normals(
             "normals and of one for heights."
         ) from error
     return mi.Normal3f(dr.select(dr.all(dr.isfinite(mapped)), mapped, mi.Vector3f(normal)))
+
+
+def tangent_frame(normal: Any, along: Any) -> Any:
+    """Return the frame (Frame3f) of a normal map; ``along`` is the direction of u."""
+    frame = mi.Frame3f(normal)
+    frame.s = dr.normalize(along - normal * dr.dot(normal, along))
+    frame.t = dr.cross(normal, frame.s)
+    return frame
 
 
 def _places(texture: Any, uv: Any, resolution: tuple[int, int], finer: int) -> Iterator[Any]:

@@ -12,19 +12,15 @@ import mitsuba as mi
 import numpy as np
 import scipy
 
-from svu_mi.calibration.normals.tilt_equations import (
-    SWITCHES,
-    tangents,
-    tilt_equations,
-    tilted,
-    vectors,
-)
+from svu_mi.calibration.normals import tilt_equations as eq
+from svu_mi.calibration.normals.tilt_equations import tangents, tilted, vectors
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, make_mesh
 from svu_mi.capture.normal_map import layers
 from svu_mi.capture.replace_material import is_two_sided, scene_around
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.core.progress import Progress
+from svu_mi.geometry.mapped_normals import tangent_frame
 from svu_mi.geometry.texels import Texels, filled_image, texels
 from svu_mi.pipeline import estimate
 
@@ -52,33 +48,28 @@ class RefinedNormals:
     sentence: str
 
 
-def refine_normals(
-    capture: Capture, size: tuple[int, int], progress: Progress | None = None
-) -> RefinedNormals:
+def refine_normals(capture: Capture, size: tuple[int, int], progress: Progress) -> RefinedNormals:
     """Tilt shading normals smoothly so that the model agrees with the photographs.
 
     Errors that vary within about a tenth of the object are not found, nor those of rough surfaces.
     Visibility and curvature are those of the mesh. ``size`` (W, H) is that of the normal map.
     """
-    progress = progress or Progress()
     grid, fine = (texels(capture.mesh, each) for each in (SIDE, size))
     centers = _places(grid)[evenly_spaced(grid.count, CONTROLS)]
-    coarse_field, fine_field = _field(grid, centers), _field(fine, centers)
-    tilts, width, current = np.zeros(coarse_field[0].shape[1]), WIDEST, grid
+    field, fine_field = _field(grid, centers), _field(fine, centers)
+    tilts, width, current = np.zeros(field[0].shape[1]), WIDEST, grid
     with progress.stage("Refining normals", ROUNDS) as stage:
         for number in range(ROUNDS):
-            known = estimate(capture, current, preset=SWITCHES)
-            tilts, covariance, width = _step(
-                tilt_equations(known, grid), coarse_field, tilts, width
-            )
-            current = tilted(grid, _tangential(coarse_field, grid, tilts))
+            known = estimate(capture, current, preset=eq.SWITCHES)
+            equations = eq.tilt_equations(known, grid)
+            tilts, covariance, width = _step(equations, field, tilts, width)
+            current = tilted(grid, _tangential(field, grid, tilts))
             stage.update(number + 1, ROUNDS)
-    shape, root = (
-        make_mesh(capture.shape.id(), arrays(capture.mesh)),
-        np.linalg.cholesky(covariance),
-    )
-    found = tilted(fine, _tangential(fine_field, fine, tilts))
-    image = filled_image(fine, _local(texels(shape, size), vectors(found.normal)))
+    shape = make_mesh(capture.shape.id(), arrays(capture.mesh))
+    bare, found = texels(shape, size), tilted(fine, _tangential(fine_field, fine, tilts))
+    local = tangent_frame(bare.normal, bare.sides[0]).to_local(mi.Vector3f(found.normal))
+    image = filled_image(fine, (vectors(local) + 1) / 2).astype(np.float32)
+    root = np.linalg.cholesky(covariance)
     variance = sum(np.square(along @ root).sum(axis=1) for along in fine_field)
     sd = filled_image(fine, np.degrees(np.sqrt(variance))[:, None])[..., 0]
     shape.set_bsdf(_tilted_material(capture.shape.bsdf(), image))
@@ -86,10 +77,10 @@ def refine_normals(
     with progress.stage("Predicting held-out photographs"):
         results = [estimate(one, texels(one.mesh, SIDE)).prediction for one in (capture, made)]
         before, after = (np.nan if one is None else one.r2 for one in results)
-    angle = np.degrees(np.sqrt(sum(np.square(along @ tilts).mean() for along in coarse_field)))
+    angle = np.degrees(np.sqrt(sum(np.square(along @ tilts).mean() for along in field)))
     verb, chosen = ("kept", capture) if after < before else ("tilted", made)
     return RefinedNormals(
-        chosen, image.astype(np.float32), sd.astype(np.float32),
+        chosen, image, sd.astype(np.float32),
         f"Normals were {verb}: a tilt of {angle:.2g} degrees (rms) predicts held-out photographs "
         f"with R^2 {after:.3f} instead of {before:.3f}.",
     )  # fmt: skip
@@ -137,18 +128,8 @@ def _step(
     return tilts, covariance, width
 
 
-def _local(bare: Texels, normal: np.ndarray) -> np.ndarray:
-    """Return normals (T, 3) in the frames of texels without a normal map, in [0, 1]."""
-    n, side = vectors(bare.normal), vectors(bare.sides[0])
-    s = side - n * (side * n).sum(axis=1, keepdims=True)
-    s /= np.linalg.norm(s, axis=1, keepdims=True)
-    frame = np.stack([s, np.cross(n, s), n], axis=1)
-    return np.asarray((np.einsum("tij,tj->ti", frame, normal) + 1) / 2)
-
-
 def _tilted_material(old: Any, pixels: np.ndarray) -> Any:
     """Return a material with another normal map, (H, W, 3)."""
-    bitmap = mi.Bitmap(np.ascontiguousarray(pixels, np.float32))
-    texture = {"type": "bitmap", "raw": True, "bitmap": bitmap}
+    texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.ascontiguousarray(pixels))}
     made = {"type": "normalmap", "normalmap": texture, "material": layers(old)[-1]}
     return mi.load_dict({"type": "twosided", "material": made} if is_two_sided(old) else made)

@@ -36,11 +36,10 @@ def tilt_equations(known: Estimate, grid: Texels) -> tuple[np.ndarray, np.ndarra
     """Return A (T, 2, 2) and b (T, 2) along the ``tangents`` of ``grid``; 0 at unseen texels."""
     observed = known.observed
     assert observed is not None
-    seen, count = observed.seen, known.texels.count
-    means: Values = {
-        name: np.array(known.posterior.mean(name), float).reshape(1, count, -1)[:, seen]
-        for name in NAMES
-    }  # fmt: skip
+    seen, count, means = observed.seen, known.texels.count, {}
+    for name in NAMES:
+        mean = np.array(known.posterior.mean(name), float)
+        means[name] = mean.reshape(1, count, -1)[:, seen]
     steps = {name: np.where(mean > 0.5, -STEP, STEP) for name, mean in means.items()}
     moved = [{**means, name: means[name] + steps[name]} for name in NAMES]
     lane, weight, shown, (predicted, *others) = _predict(observed, [means, *moved])
@@ -78,20 +77,17 @@ def _predict(observed: Observed, draws: list[Values]) -> tuple[np.ndarray, ...]:
 
 def _products(columns: np.ndarray, weight: np.ndarray, lane: np.ndarray, count: int) -> np.ndarray:
     """Return weighted products (S, K, K) of K columns (N, 3, K), summed over a texel's samples."""
-    pairs = [
-        [np.bincount(lane, weight * (x * y).sum(axis=1), count) for y in np.moveaxis(columns, 2, 0)]
-        for x in np.moveaxis(columns, 2, 0)
-    ]
-    return np.moveaxis(np.array(pairs), 2, 0)
+    each = np.moveaxis(columns, 2, 0)
+    sums = [[np.bincount(lane, weight * (x * y).sum(axis=1), count) for y in each] for x in each]
+    return np.moveaxis(np.array(sums), 2, 0)
 
 
 def _reduced(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return A and b from products of material's columns, tilts, and error."""
     fitted = products.shape[1] - TILTS - 1
     M = products[:, :fitted, :fitted] + np.eye(fitted) / WIDTH**2
-    rest = products[:, fitted:, fitted:] - products[:, fitted:, :fitted] @ np.linalg.solve(
-        M, products[:, :fitted, fitted:]
-    )
+    explained = products[:, fitted:, :fitted] @ np.linalg.solve(M, products[:, :fitted, fitted:])
+    rest = products[:, fitted:, fitted:] - explained
     return rest[:, :TILTS, :TILTS], rest[:, :TILTS, TILTS]
 
 
