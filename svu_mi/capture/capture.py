@@ -1,7 +1,5 @@
 """Captures: scene, target object, photographs, masks and exposures."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -120,7 +118,7 @@ class Capture:
         ]
         return f"<Capture {self.shape.id()}: {', '.join(parts)}>"
 
-    def warned(self, *sentences: str) -> Capture:
+    def warned(self, *sentences: str) -> "Capture":
         """Issue warnings; return a copy that lists them in records and reports."""
         for sentence in sentences:
             warnings.warn(sentence, SvuWarning, stacklevel=3)

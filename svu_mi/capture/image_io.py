@@ -1,7 +1,5 @@
 """Image files: header, stored channels, and conversion to linear sRGB."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -55,7 +53,7 @@ class ImageFile:
         width, height = self.header.size
         return (height, width) if self.orientation >= TURNED else (width, height)
 
-    def fitted(self, size: tuple[int, int]) -> ImageFile:
+    def fitted(self, size: tuple[int, int]) -> "ImageFile":
         """Return the file as stored if only so it is as wide or as high as a camera's film."""
         is_wide = self.size[0] > self.size[1]
         wrong = self.size[0] != self.size[1] and size[0] != size[1] and is_wide != (

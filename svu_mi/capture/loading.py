@@ -1,7 +1,5 @@
 """Loading of a ``Capture`` from a scene file and a folder of photographs."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import warnings
@@ -104,7 +102,7 @@ def plan_capture(
     path: str | Path, images: str | Path | None = None, *, shape: str | None = None,
     defines: Mapping[str, str] | None = None, trust: bool = False, missing: Missing = "refuse",
     light: Light = "required", float_textures: bool = False, **reading: Any,
-) -> CapturePlan:  # fmt: skip
+) -> "CapturePlan":  # fmt: skip
     """Load a scene, match photographs with sensors, and read their headers.
 
     Arguments and errors: see ``load_capture``, and ``load_scene`` for ``float_textures``.

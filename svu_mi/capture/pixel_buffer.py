@@ -5,8 +5,6 @@ mapped from a file, and the operating system caches the pages in use. The file i
 system removes it when the process ends, even after a crash.
 """
 
-from __future__ import annotations
-
 import math
 import mmap
 import os
@@ -50,7 +48,7 @@ class PixelBuffer:
     file: mmap.mmap | None = None
 
     @staticmethod
-    def allocate(sizes: Sequence[Size], memory: float = math.inf) -> PixelBuffer:
+    def allocate(sizes: Sequence[Size], memory: float = math.inf) -> "PixelBuffer":
         """Make a buffer of zeros; above ``memory`` bytes it is mapped from files."""
         counts = np.array([width * height for width, height in sizes], np.int64)
         count, file = int(counts.sum()), None
@@ -64,7 +62,7 @@ class PixelBuffer:
         return PixelBuffer(pixels, masked, clipped, tuple(sizes), np.cumsum(counts) - counts, file)
 
     @staticmethod
-    def of(images: Sequence[np.ndarray]) -> PixelBuffer:
+    def of(images: Sequence[np.ndarray]) -> "PixelBuffer":
         """Copy V photographs (H, W, 3) into memory."""
         made = PixelBuffer.allocate([(image.shape[1], image.shape[0]) for image in images])
         for own, image in zip(made.images, images, strict=True):

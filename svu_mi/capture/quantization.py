@@ -1,7 +1,5 @@
 """Limits of pixel values: saturated channels and quantisation steps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,7 +28,7 @@ class Saturation:
     least: np.ndarray
 
     @staticmethod
-    def of(over: np.ndarray, least: float) -> Saturation:
+    def of(over: np.ndarray, least: float) -> "Saturation":
         """Make a record from flags (H, W, 3), and one lower bound for all channels."""
         bits = np.array([1, 2, 4], np.uint8)
         return Saturation((over * bits).sum(axis=-1, dtype=np.uint8), np.full(3, least, np.float32))
@@ -40,7 +38,7 @@ class Saturation:
         """Flags of clipped channels, (H, W, 3) bool."""
         return (self.channels[..., None] & np.array([1, 2, 4], np.uint8)) > 0
 
-    def divided(self, gain: np.ndarray | np.floating) -> Saturation:
+    def divided(self, gain: np.ndarray | np.floating) -> "Saturation":
         """Return the saturation after division by a gain, a scalar or (3,)."""
         return replace(self, least=(self.least / gain).astype(np.float32))
 
@@ -58,7 +56,7 @@ class Rounding:
     slope: np.ndarray
 
     @staticmethod
-    def of(bits: int, transfer: Transfer = "srgb") -> Rounding:
+    def of(bits: int, transfer: Transfer = "srgb") -> "Rounding":
         """Return the steps of 8- or 16-bit integers; the largest integer is radiance 1."""
         last = 2**bits - 1
         ends = np.array([1 / last, 1 - 1 / last, 1], np.float64)
@@ -66,11 +64,11 @@ class Rounding:
         return Rounding.between(first, white - below)
 
     @staticmethod
-    def between(first: float, last: float) -> Rounding:
+    def between(first: float, last: float) -> "Rounding":
         """Make equal steps for all channels: ``first`` at black, ``last`` at radiance 1."""
         return Rounding(np.full(3, first, np.float32), np.full(3, last, np.float32))
 
-    def divided(self, gain: np.ndarray | np.floating | float) -> Rounding:
+    def divided(self, gain: np.ndarray | np.floating | float) -> "Rounding":
         """Return the steps after division by a gain, a scalar or (3,)."""
         gain = np.asarray(gain, np.float64)
         return Rounding(

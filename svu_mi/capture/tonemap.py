@@ -1,7 +1,5 @@
 """Images for display: tone-mapped photographs and rendered textures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +99,7 @@ class ObjectView:
     covered: np.ndarray
 
     @staticmethod
-    def of(scene: Any, sensor: Any) -> ObjectView:
+    def of(scene: Any, sensor: Any) -> "ObjectView":
         """Trace the rays of a sensor in an ``object_only_scene``."""
         width, height = film_size(sensor)
         rows, columns = window = _window(scene.shapes()[0], sensor)
@@ -123,7 +121,7 @@ class ObjectView:
         return ObjectView(window, uv, shade, covered)
 
     @staticmethod
-    def at(scene: Any, sensor: Any, side: int = SIDE) -> ObjectView:
+    def at(scene: Any, sensor: Any, side: int = SIDE) -> "ObjectView":
         """Trace a sensor scaled down to at most ``side`` pixels per side."""
         return ObjectView.of(scene, scaled_sensor(sensor, side))
 

@@ -1,7 +1,5 @@
 """Base classes of commands: variant, threads, output folder, and Ctrl-C."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -77,7 +75,7 @@ class BaseCommand:
         ensure_threads(self.threads)
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
-    def run_info(self, progress: Progress, /, **options: Any) -> RunInfo:
+    def run_info(self, progress: Progress, /, **options: Any) -> "RunInfo":
         """Return the options and kernels of this run, for ``run.json``."""
         from svu_mi.output.run_record import RunInfo
 

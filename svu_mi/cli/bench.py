@@ -1,7 +1,5 @@
 """``svu bench``: accuracy and speed of svu_mi."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from dataclasses import dataclass
@@ -91,7 +89,7 @@ class Bench(BaseCommand):
         print_line(console, f"Wrote {self.output}")
         return 0
 
-    def _selection(self, on_cases: bool) -> Selection:
+    def _selection(self, on_cases: bool) -> "Selection":
         """Return the selected cases (objects under lights), rows and capture."""
         from svu_mi.bench.cases import chosen_cases
         from svu_mi.bench.study import Selection

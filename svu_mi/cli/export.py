@@ -1,7 +1,5 @@
 """``svu export``: export of recovered textures to other programs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -58,7 +56,7 @@ class Export(ResultCommand):
         """Refuse invalid options (OptionError)."""
         self._options()
 
-    def _options(self) -> ExportOptions:
+    def _options(self) -> "ExportOptions":
         from svu_mi.output.export.write_asset import ExportOptions
 
         return ExportOptions(

@@ -1,7 +1,5 @@
 """``svu import``: conversion of captures of other tools to capture folders."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shlex
@@ -127,7 +125,7 @@ class Import(BaseCommand):
             print_line(console, f"Then estimate its light with: svu light {self.output}")
         return 0
 
-    def _import(self, progress: Progress, place: Claim) -> Imported:
+    def _import(self, progress: Progress, place: Claim) -> "Imported":
         from svu_mi.capture.importers.colmap.undistortion import read_undistorted
         from svu_mi.capture.importers.import_capture import plan_import
 
@@ -146,7 +144,7 @@ class Import(BaseCommand):
                 return plan.write(place, self.words, stage.update)
 
 
-def reimport_command(capture: Capture, fixes: Sequence[str], mesh_scale: float = 1.0) -> str:
+def reimport_command(capture: "Capture", fixes: Sequence[str], mesh_scale: float = 1.0) -> str:
     """Return the command line that repeats the import of a capture with corrections.
 
     Args:

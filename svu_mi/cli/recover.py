@@ -1,7 +1,5 @@
 """``svu recover``: recovery of textures from photographs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -119,7 +117,7 @@ class Recover(LitCommand, ResultCommand):
                 "--resume, or start again with --overwrite."
             )
 
-    def _recover(self, progress: Progress, place: Claim) -> IntervalSummary:
+    def _recover(self, progress: Progress, place: Claim) -> "IntervalSummary":
         from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
         from svu_mi.calibration.normals.refine_normals import refine_normals
         from svu_mi.geometry.texels import texels as make_texels

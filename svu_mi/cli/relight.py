@@ -1,7 +1,5 @@
 """``svu relight``: render recovered textures under another light, with uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -106,7 +104,7 @@ class Relight(CaptureCommand, ResultCommand):
             )
         return [uncertainty_sentence(relit)]
 
-    def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
+    def _sensors(self, capture: "Capture") -> tuple[list[Any], list[str]]:
         """Return the sensors of the images, and their names."""
         from svu_mi.capture.sensors import scaled_sensor
         from svu_mi.guidance.candidates import Candidates

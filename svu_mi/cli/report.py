@@ -1,7 +1,5 @@
 """``svu report``: one HTML page of results."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -77,8 +75,8 @@ class Report(EstimateCommand):
             )
 
     def _write(
-        self, progress: Progress, size: tuple[int, int], textures: Textures | None
-    ) -> IntervalSummary:
+        self, progress: Progress, size: tuple[int, int], textures: "Textures | None"
+    ) -> "IntervalSummary":
         from svu_mi.calibration.checks.exposure_checks import warn_of_exposure
         from svu_mi.output.report.report import write_report
 

@@ -1,7 +1,5 @@
 """Path-traced radiance along camera rays, in scenes whose object has one uniform material."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -60,7 +58,7 @@ class UniformScene:
     params: Any
 
     @staticmethod
-    def of(capture: Capture) -> UniformScene:
+    def of(capture: Capture) -> "UniformScene":
         """Return a scene with a copy of the object; the capture is not modified."""
         # Mitsuba permanently omits lobes whose parameter is 0 when the material is created.
         middle = {

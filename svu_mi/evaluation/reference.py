@@ -1,7 +1,5 @@
 """Path-traced reference: posterior, its noise, and its options."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 
@@ -106,7 +104,7 @@ class Reference(TracedTables):
     method: str
 
     @staticmethod
-    def of(traced: TracedTables, options: ReferenceOptions, *, cached: bool) -> Reference:
+    def of(traced: TracedTables, options: ReferenceOptions, *, cached: bool) -> "Reference":
         """Compute the posteriors from traced tables, and return the reference."""
         whole, first, second = traced.posteriors(options)
         return Reference(

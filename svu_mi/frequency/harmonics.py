@@ -10,8 +10,6 @@ S is a sum, not a mean: its expectation for white noise of unit variance is 2l +
 * one lane per texel, coefficients as Python lists of Dr.Jit arrays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -82,7 +80,7 @@ class FitSystem:
     regularizer: Any  # lambda, opaque: a new value must not compile a new kernel
 
     @staticmethod
-    def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> FitSystem:
+    def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> "FitSystem":
         """Return the parameters of a fit."""
         penalty = ridge(degree, penalize_constant)
         return FitSystem(degree, channels, penalty, dr.opaque(mi.Float64, regularizer))

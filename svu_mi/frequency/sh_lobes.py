@@ -6,8 +6,6 @@ L(omega_o) is the light from the mirror direction of omega_o. G1(theta_i) L is e
 for each texel (Eq. 12). The convolution with S_alpha multiplies degree l by exp(-(alpha l)^2).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -40,7 +38,7 @@ class ShLobes:
     light: MirroredLight
 
     @staticmethod
-    def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> ShLobes:
+    def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> "ShLobes":
         """Fit the light and convolve it with lobes; needs 4 n C bytes per texel and width."""
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
         values = light.allocate(len(alpha) * rows)
@@ -91,7 +89,7 @@ class ConvolvedLight:
     light: MirroredLight
 
     @staticmethod
-    def of(light: MirroredLight, roughness: Any) -> ConvolvedLight:
+    def of(light: MirroredLight, roughness: Any) -> "ConvolvedLight":
         """Fit and convolve the light, with the masking of each texel's roughness."""
         values = light.allocate(2 * (light.fit.degree + 1) ** 2 * light.channels)
         stride = dr.opaque(mi.UInt32, len(light.chosen))

@@ -7,8 +7,6 @@ changes c to [Sherman and Morrison 1950]
     c' = c + A^-1 w y  w (f - y . c) / (1 + w y . A^-1 w y).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -47,7 +45,7 @@ class SolvedSystem:
     seen: Any
 
     @staticmethod
-    def of(sample: ReadSample, views: Any, system: FitSystem) -> SolvedSystem:
+    def of(sample: ReadSample, views: Any, system: FitSystem) -> "SolvedSystem":
         """Accumulate the equations over the views and solve them."""
         size = system.degree + 1  # tiles with this edge need no padding
         blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)

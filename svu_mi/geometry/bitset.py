@@ -1,7 +1,5 @@
 """Bit sets: N bits per kernel lane, such as one for each view or light cell."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,7 +27,7 @@ class Bits:
     last: Any
 
     @staticmethod
-    def clear(numbers: int, lanes: int) -> Bits:
+    def clear(numbers: int, lanes: int) -> "Bits":
         """Return zeros: ``numbers`` bits, at least one, for each of ``lanes`` lanes."""
         numbers = max(numbers, 1)
         words = -(-numbers // WORD)
@@ -52,7 +50,7 @@ class Bits:
         dr.scatter(self.words, word, target, full, dr.ReduceMode.NoConflicts)
         return word
 
-    def at(self, lanes: Any) -> Bits:
+    def at(self, lanes: Any) -> "Bits":
         """Return the bits of selected lanes, given by their indices (UInt32)."""
         if not dr.width(lanes):
             return Bits(mi.UInt32(), dr.opaque(mi.UInt32, 0), self.last)
@@ -62,7 +60,7 @@ class Bits:
         taken = dr.gather(mi.UInt32, lanes, place % count) + place // count * self.stride
         return Bits(dr.gather(mi.UInt32, self.words, taken), count, self.last)
 
-    def without(self, groups: Sequence[np.ndarray]) -> Bits:
+    def without(self, groups: Sequence[np.ndarray]) -> "Bits":
         """Return all S lanes once for each group, with the group's bits set to 0.
 
         Lane g S + s is lane s without the bits in ``groups[g]``.

@@ -1,7 +1,5 @@
 """Neighbours of texels, also across UV seams, and groups of texels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -50,7 +48,7 @@ class Neighbors:
             )
 
     @staticmethod
-    def of(pairs: np.ndarray, count: int, seams: int = 0) -> Neighbors:
+    def of(pairs: np.ndarray, count: int, seams: int = 0) -> "Neighbors":
         """Make the graph from unique pairs (P, 2) of ``count`` texels."""
         pairs = np.sort(pairs, axis=1)
         pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -131,7 +129,7 @@ class _TexelFrames:
     steps: tuple[np.ndarray, np.ndarray]
 
     @classmethod
-    def of(cls, texels: Texels) -> _TexelFrames:
+    def of(cls, texels: Texels) -> "_TexelFrames":
         vectors = texels.position, texels.geometric_normal, *texels.sides
         position, normal, *steps = (np.array(x, np.float64).T for x in vectors)
         return cls(position, normal, (steps[0], steps[1]))

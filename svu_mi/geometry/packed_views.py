@@ -4,8 +4,6 @@ Memory: 1 byte per pixel for the flag of usable pixels. Photographs that were re
 in one block already (12 bytes per pixel) and are not copied.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -56,7 +54,7 @@ class Views(Films):
     number: int
     scene: Any
     grey: bool = True
-    clipped: ClippedPixels | None = None
+    clipped: "ClippedPixels | None" = None
     rounding: tuple[Any, Any] | None = None
     outline: Outline | None = None
 
@@ -240,7 +238,7 @@ class _Pose:
     angle: float
 
     @staticmethod
-    def of(sensor: Any) -> _Pose:
+    def of(sensor: Any) -> "_Pose":
         """Read a perspective sensor."""
         width, height = film_size(sensor)
         record = describe(sensor)

@@ -4,8 +4,6 @@
 stay in registers: no array has an entry per texel and view.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -49,7 +47,7 @@ class TexelLanes:
     turns: tuple[Any, Any] | None = None
 
     @staticmethod
-    def of(texels: Texels, selection: Any | None = None) -> TexelLanes:
+    def of(texels: Texels, selection: Any | None = None) -> "TexelLanes":
         """Make lanes of all texels, or of a selection (UInt32 indices)."""
 
         def take(values: Any) -> Any:
@@ -66,7 +64,7 @@ class TexelLanes:
             turns=take(texels.turns),
         )
 
-    def at(self, lane: Any) -> TexelLanes:
+    def at(self, lane: Any) -> "TexelLanes":
         """Gather lanes by their indices (UInt32), which may repeat."""
         names = ("position", "normal", "geometric_normal", "sides", "turns")
         values = {name: x for name in names if (x := getattr(self, name)) is not None}

@@ -1,7 +1,5 @@
 """Texels of a UV-mapped mesh as surface points."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -83,7 +81,7 @@ class Texels:
         return int(dr.width(self.index))
 
     @property
-    def layout(self) -> TexelLayout:
+    def layout(self) -> "TexelLayout":
         """Layout of the texels in the texture, without Dr.Jit."""
         return TexelLayout(self.resolution, np.array(self.index))
 
@@ -106,7 +104,7 @@ class Texels:
         """Return the mask of the charts, (H, W) bool."""
         return self.layout.inside()
 
-    def subset(self, numbers: np.ndarray) -> Texels:
+    def subset(self, numbers: np.ndarray) -> "Texels":
         """Return the texels of given numbers in [0, T), which may repeat."""
         chosen = to_drjit(mi.UInt32, numbers.astype(np.uint32))
         values: dict[str, Any] = {

@@ -1,7 +1,5 @@
 """Visibility of texels in views, by rays: one bit per texel and view."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -60,7 +58,7 @@ class Visibility:
         """Views that show a texel only by saturated pixels: counts (T,) uint32; 0 without any."""
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
-    def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> Visibility:
+    def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> "Visibility":
         """Return the visibility of (t,) texels once for each group of views, without these views.
 
         Texel g t + k is ``texels[k]`` without the views in ``groups[g]``. Sums of radiance and

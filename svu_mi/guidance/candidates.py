@@ -1,7 +1,5 @@
 """Candidate views for the next photograph."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,13 +62,13 @@ class Candidates:
         return len(self.sensors)
 
     @staticmethod
-    def of(sensors: Sequence[Any]) -> Candidates:
+    def of(sensors: Sequence[Any]) -> "Candidates":
         """Return candidates from Mitsuba sensors; all are reachable."""
         names = tuple(sensor.id() or f"candidate_{i:04d}" for i, sensor in enumerate(sensors))
         return Candidates(tuple(sensors), names, np.ones(len(sensors), bool))
 
     @staticmethod
-    def without_photograph(capture: Capture) -> Candidates:
+    def without_photograph(capture: Capture) -> "Candidates":
         """Return the sensors of a capture that have no photograph in use.
 
         Raises:
@@ -87,7 +85,7 @@ class Candidates:
         return Candidates.at(capture, left)
 
     @staticmethod
-    def at(capture: Capture, views: Sequence[int]) -> Candidates:
+    def at(capture: Capture, views: Sequence[int]) -> "Candidates":
         """Return the sensors of a capture with the indices ``views``; all are reachable."""
         sensors = tuple(capture.sensors[view] for view in views)
         names = tuple(capture.names[view] for view in views)
@@ -97,7 +95,7 @@ class Candidates:
     def around(
         capture: Capture, count: int = 100, *, up: tuple[float, float, float] | None = None,
         lowest: float = -1.0, distance: float | None = None,
-    ) -> Candidates:  # fmt: skip
+    ) -> "Candidates":  # fmt: skip
         """Place candidates on a sphere around the object, with the photographs' camera.
 
         Args:
@@ -121,7 +119,7 @@ class Candidates:
         return Candidates.of(sensors)
 
     @staticmethod
-    def read(path: str | Path) -> Candidates:
+    def read(path: str | Path) -> "Candidates":
         """Read candidates from a file.
 
         Args:
@@ -148,7 +146,7 @@ class Candidates:
         frames = (square_pixel_frame(frame)[0] for frame in read_transforms(path).frames)
         return Candidates.of([frame.sensor() for frame in frames])
 
-    def restricted(self, reachable: Any) -> Candidates:
+    def restricted(self, reachable: Any) -> "Candidates":
         """Return the candidates with some marked as unreachable.
 
         Args:

@@ -5,8 +5,6 @@ with its best base colour (``objectives.py``). Small grids are enumerated. From 
 are drawn by systematic sampling; all candidates share the draws.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,7 +49,7 @@ class Hypotheses:
     @staticmethod
     def draw(
         probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
-    ) -> Hypotheses:
+    ) -> "Hypotheses":
         """Draw ``most`` cells per texel from (T, N) probabilities, or list all if they suffice.
 
         ``starts`` are (T,) random in [0, 1); ``possible`` (default N) cells have a prior above 0.
@@ -64,7 +62,7 @@ class Hypotheses:
         return Hypotheses.of(weights)
 
     @staticmethod
-    def of(weights: np.ndarray) -> Hypotheses:
+    def of(weights: np.ndarray) -> "Hypotheses":
         """Create hypotheses from all positive ``weights`` (T, N), largest weight first."""
         counts = (weights > 0).sum(axis=1)
         most = max(int(counts.max(initial=0)), 1)

@@ -11,8 +11,6 @@ E[H] therefore changes in every step, and every candidate has its own weights. S
 fewer samples than S_L' and regularised more strongly. This favours weaker reflections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -48,7 +46,7 @@ class GrowingForecast(SpectrumForecast):
     photographs: Any
     observed: Any
     relight: Relight
-    _lights: dict[int, GrowingForecast] = field(
+    _lights: "dict[int, GrowingForecast]" = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -63,7 +61,7 @@ class GrowingForecast(SpectrumForecast):
         evaluate = super(GrowingForecast, self._lit_for(len(views) + 1))._evaluate
         return evaluate(views, candidates, texels)
 
-    def _lit_for(self, views: int) -> GrowingForecast:
+    def _lit_for(self, views: int) -> "GrowingForecast":
         """Return the forecast with the light for ``views`` views; the last result is cached."""
         if views not in self._lights:
             self._lights.clear()  # responses are large

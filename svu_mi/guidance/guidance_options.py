@@ -1,7 +1,5 @@
 """Options of ``next_best_view``."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -61,7 +59,7 @@ class GuidanceOptions:
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
 
-    def resolved(self, preset: AnyPreset) -> GuidanceOptions:
+    def resolved(self, preset: AnyPreset) -> "GuidanceOptions":
         """Return the options with the band limit "preset" replaced by the preset's value."""
         if self.band_limit != "preset":
             return self

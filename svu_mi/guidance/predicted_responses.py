@@ -5,8 +5,6 @@ and the light; only the material parameters, which mix them, are missing. ``angu
 and ``spectral_forecast.py`` define the columns. A texel that a view does not see has zeros.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -43,7 +41,7 @@ class Responses:
     lane: Any
 
     @staticmethod
-    def of(first: Any, columns: int, count: int) -> Responses:
+    def of(first: Any, columns: int, count: int) -> "Responses":
         """Create responses from their first column; allocate the memory of columns 1 to K - 1."""
         seen = dr.select(first > 0, mi.UInt32(1), 0)
         slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # exclusive sum
@@ -71,7 +69,7 @@ class Responses:
         table[seen, 1:] = rest[:, : self.columns - 1]
         return table
 
-    def at(self, lane: Any) -> Responses:
+    def at(self, lane: Any) -> "Responses":
         """Return the responses for a kernel whose lanes are the texels ``lane``."""
         return replace(self, lane=lane)
 

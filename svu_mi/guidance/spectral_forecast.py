@@ -8,8 +8,6 @@ A candidate adds a rank-1 update to the fit of the mirrored light S_L'
 (``frequency/solve_primal.py``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -125,7 +123,7 @@ class SpectrumForecast(Forecast):
 
         return self.switches.degree, keep
 
-    def _hypotheses(self, texel: Any, kept: list[Any]) -> SpectrumHypotheses:
+    def _hypotheses(self, texel: Any, kept: list[Any]) -> "SpectrumHypotheses":
         """Return the hypotheses of each lane's texel; ``kept`` are K Floats (see ``_kept``)."""
         return SpectrumHypotheses(self, texel, kept)
 

@@ -3,8 +3,6 @@
 ``TABLE`` lists all of them. The command line imports this file before Mitsuba is loaded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -32,7 +30,7 @@ class GuidanceStrategy:
     """Scorer of candidates, the ``unit`` of scores, and the required ``method`` (None: any)."""
 
     unit: str
-    make_scorer: Callable[[StrategyInputs], ViewScorer]
+    make_scorer: "Callable[[StrategyInputs], ViewScorer]"
     needs_forecast: bool = False
     method: str | None = None
 

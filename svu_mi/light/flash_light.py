@@ -1,7 +1,5 @@
 """Light of a flash: a point lamp fixed to the camera, whose place differs between views."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -52,7 +50,7 @@ class FlashLight:
     scene: Any = None
 
     @staticmethod
-    def of(flash: Flash, sensors: Sequence[Any]) -> FlashLight:
+    def of(flash: Flash, sensors: Sequence[Any]) -> "FlashLight":
         """Place the flash of each sensor, whose index is its slot."""
         poses = np.stack([to_world(sensor) for sensor in sensors])
         position = (poses @ np.append(flash.position, 1))[:, :3]

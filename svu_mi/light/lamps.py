@@ -5,8 +5,6 @@ lamps are single cells. Each cell has a direction, a radius, and an irradiance o
 faces it; 0 where it is hidden.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -44,13 +42,13 @@ class Lamps:
     lanes: Any
     place: Any
 
-    def subset(self, lanes: np.ndarray) -> Lamps:
+    def subset(self, lanes: np.ndarray) -> "Lamps":
         """Return the cells as seen from selected texels."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         moments, place = dr.gather(list, [self.moments, self.place], chosen)
         return replace(self, moments=moments, place=place)
 
-    def seen_from(self, lane: Any) -> LampCells:
+    def seen_from(self, lane: Any) -> "LampCells":
         """Return the cells as seen from one texel per lane."""
         return LampCells(self, dr.gather(mi.UInt32, self.place, lane))
 

@@ -6,8 +6,6 @@ first splits define the ``coarse`` cells, and all splits the ``fine`` cells.
 The direction of a cell is the centroid of its radiance.
 """
 
-from __future__ import annotations
-
 import heapq
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -100,7 +98,7 @@ class _Cluster:
     variance: float
 
     @staticmethod
-    def of(number: int, points: np.ndarray, weight: np.ndarray, members: np.ndarray) -> _Cluster:
+    def of(number: int, points: np.ndarray, weight: np.ndarray, members: np.ndarray) -> "_Cluster":
         """Make a cluster of the points with indices ``members``."""
         w = weight[members]
         own = points[members]
@@ -109,7 +107,7 @@ class _Cluster:
         x, y, z = covariance.diagonal().tolist()
         return _Cluster(number, members, offset, covariance, x + y + z if len(own) > 1 else 0.0)
 
-    def __lt__(self, other: _Cluster) -> bool:
+    def __lt__(self, other: "_Cluster") -> bool:
         return self.variance > other.variance
 
     def far_half(self) -> np.ndarray:

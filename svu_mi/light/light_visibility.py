@@ -5,8 +5,6 @@ exceptions that are traced: its coarse cell is below the horizon, or the fine ce
 group of coarse cells is partly hidden.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -39,7 +37,7 @@ class LightVisibility:
     fine: Bits
     place: Any
 
-    def subset(self, lanes: np.ndarray) -> LightVisibility:
+    def subset(self, lanes: np.ndarray) -> "LightVisibility":
         """Return the visibility from selected texels."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(self, place=dr.gather(mi.UInt32, self.place, chosen))
@@ -137,7 +135,7 @@ class SampleBits:
     bits: Bits
     lane: Any
 
-    def subset(self, lanes: np.ndarray) -> SampleBits:
+    def subset(self, lanes: np.ndarray) -> "SampleBits":
         """Return the bits of selected lanes, as those of texels 0, 1, ..."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return SampleBits(self.bits.at(chosen), dr.arange(mi.UInt32, len(lanes)))

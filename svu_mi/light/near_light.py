@@ -6,8 +6,6 @@ mirrored below the horizon, which makes them smooth there: only coefficients wit
 They exclude the object as photographed, which each lobe samples by rays (``NearLobes``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -46,7 +44,7 @@ class NearLight:
     place: Any
     shown: Any = None
 
-    def subset(self, lanes: np.ndarray) -> NearLight:
+    def subset(self, lanes: np.ndarray) -> "NearLight":
         """Return the light at selected texels."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         moments, place = dr.gather(list, [self.moments, self.place], chosen)

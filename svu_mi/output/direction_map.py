@@ -1,7 +1,5 @@
 """Map of directions around the object: photographs, candidates, proposals."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,9 +21,9 @@ LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are 
 
 
 def draw_directions(
-    axes: Axes, capture: Capture, guidance: Guidance, *,
+    axes: "Axes", capture: Capture, guidance: Guidance, *,
     up: tuple[float, float, float] | None = None, factor: float = 1.0,
-) -> ScalarMappable:  # fmt: skip
+) -> "ScalarMappable":  # fmt: skip
     """Draw all candidates on a map of the directions around the object.
 
     An equal-area map (Hammer projection) seen from outside, with ``up`` (default: that of the
@@ -68,7 +66,7 @@ def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 2 * scale * flat * np.sin(half), scale * up
 
 
-def _graticule(axes: Axes) -> None:
+def _graticule(axes: "Axes") -> None:
     """Draw the outline, and lines every 30 degrees of elevation and 45 degrees of azimuth."""
     t = np.linspace(-np.pi, np.pi, 181)
 
@@ -92,7 +90,7 @@ def _graticule(axes: Axes) -> None:
     axes.text(0, -1.02 * root, "below", size=9.5, color=FAINT, ha="center", va="top")
 
 
-def _legend(axes: Axes, unreachable: bool) -> None:
+def _legend(axes: "Axes", unreachable: bool) -> None:
     axes.scatter([], [], 60, c=INK, marker="x", lw=2, label="photographs")
     axes.scatter([], [], 90, c="white", edgecolors=INK, lw=1.6, label="proposals by rank")
     axes.scatter([], [], 60, c=[(0.13, 0.57, 0.55)], lw=0, label="other candidates")
@@ -104,7 +102,7 @@ def _legend(axes: Axes, unreachable: bool) -> None:
     )  # fmt: skip
 
 
-def draw_numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: float,
+def draw_numbered(axes: "Axes", x: float, y: float, rank: int, color: Any, size: float,
               **options: Any) -> None:  # fmt: skip
     """Draw a disc with a number."""
     from matplotlib.colors import to_rgb

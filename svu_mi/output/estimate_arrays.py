@@ -1,7 +1,5 @@
 """Values of an estimate as NumPy arrays, and labels of parameters, for pages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,7 +33,7 @@ class EstimateArrays:
         return max(int(self.coverage.max(initial=0)), 1)
 
     @classmethod
-    def of(cls, estimate: Any) -> EstimateArrays:
+    def of(cls, estimate: Any) -> "EstimateArrays":
         """Copy the values of an estimate."""
         texels, seen = estimate.texels, is_seen(estimate)
         return cls(

@@ -1,7 +1,5 @@
 """``guidance.png``: page with the proposed photographs and their information gain."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -102,7 +100,7 @@ def write_guidance_overview(
 
 
 def _draw_view(
-    axes: Axes, look: ObjectView, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
+    axes: "Axes", look: ObjectView, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
 ) -> None:
     """Draw the view of a proposed camera, cropped to the object."""
     draw_look(axes, look, colors)
@@ -114,7 +112,7 @@ def _draw_view(
         draw_numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
 
 
-def _draw_texture(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
+def _draw_texture(axes: "Axes", estimate: Any, words: str, **options: Any) -> None:
     """Draw a map in texture space, with a colour bar to its right."""
     drawn = draw_map(axes, estimate, **options)
     style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
@@ -137,7 +135,7 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
 
 
 def _directions(
-    axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float] | None
+    axes: "Axes", capture: Capture, guidance: Guidance, up: tuple[float, float, float] | None
 ) -> None:
     factor, unit = score_unit(guidance)
     colors = draw_directions(axes, capture, guidance, up=up, factor=factor)
@@ -145,7 +143,7 @@ def _directions(
     style.color_bar(axes, colors, f"as the next photograph: {unit}", (0.2, -0.06, 0.6, 0.028))
 
 
-def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
+def draw_expected(axes: "Axes", capture: Capture, guidance: Guidance) -> None:
     """Draw the mean entropy against the number of photographs: present and expected.
 
     Strategies without a forecast show the present value only.
@@ -171,7 +169,7 @@ def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
     style.minimal_axes(axes)
 
 
-def draw_ranking(axes: Axes, guidance: Guidance) -> None:
+def draw_ranking(axes: "Axes", guidance: Guidance) -> None:
     """Draw the scores of all reachable candidates, best first."""
     from matplotlib.ticker import MaxNLocator
 
@@ -220,7 +218,7 @@ def information_gain_pictures(
     ]
 
 
-def information_gain_colors() -> Colormap:
+def information_gain_colors() -> "Colormap":
     """Return the colormap of information gains; 0 is grey."""
     from matplotlib.colors import LinearSegmentedColormap
 

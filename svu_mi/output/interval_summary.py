@@ -1,7 +1,5 @@
 """Widths of credible intervals, and the fraction of the surface where they are narrow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +107,7 @@ class IntervalSummary:
     withheld: str
 
     @classmethod
-    def of(cls, estimate: Any, intervals: Intervals | None = None) -> IntervalSummary:
+    def of(cls, estimate: Any, intervals: Intervals | None = None) -> "IntervalSummary":
         """Summarise the intervals of an estimate.
 
         ``intervals`` are computed from its posterior (default: ``sampled_intervals``).

@@ -1,7 +1,5 @@
 """Files of ``svu light``: estimated light, its uncertainty, and ``light.png``."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -133,7 +131,7 @@ def _lit_panels(capture: Capture, estimate: LightEstimate) -> list[Panel]:
 
 
 def _radiance_panels(
-    title: str, radiance: np.ndarray, tone: ToneCurve, up: np.ndarray
+    title: str, radiance: np.ndarray, tone: "ToneCurve", up: np.ndarray
 ) -> list[Panel]:
     """Return panels of a map (H, W, 3): tone-mapped, and as logarithm."""
     return [
@@ -155,7 +153,7 @@ class ToneCurve:
     limits: tuple[float, float]
 
     @classmethod
-    def of(cls, radiance: np.ndarray) -> ToneCurve:
+    def of(cls, radiance: np.ndarray) -> "ToneCurve":
         """Return the curve for a map (H, W, 3)."""
         grey = radiance.mean(axis=-1)
         grey = np.maximum(grey, max(DARK * grey.mean(), 1e-30))  # limits the log of black
@@ -203,13 +201,13 @@ def _notes(estimate: LightEstimate, against: LightComparison | None) -> list[str
     return notes
 
 
-def _draw_colors(axes: Axes, colors: np.ndarray, up: np.ndarray) -> None:
+def _draw_colors(axes: "Axes", colors: np.ndarray, up: np.ndarray) -> None:
     axes.imshow(upright(colors, up), extent=(0, 1, 0, 0.5), interpolation="nearest")
     _label_directions(axes, up)
 
 
 def _draw_scaled(
-    axes: Axes, values: np.ndarray, limits: tuple[float, float], up: np.ndarray, label: str,
+    axes: "Axes", values: np.ndarray, limits: tuple[float, float], up: np.ndarray, label: str,
     colormap: str = style.COLORMAP,
 ) -> None:  # fmt: skip
     drawn = axes.imshow(
@@ -220,7 +218,7 @@ def _draw_scaled(
     style.color_bar(axes, drawn, label, (0.0, -0.16, 1.0, 0.035))
 
 
-def _label_directions(axes: Axes, up: np.ndarray) -> None:
+def _label_directions(axes: "Axes", up: np.ndarray) -> None:
     """Label azimuths and elevations of a map, and draw the horizon."""
     style.frame_map(axes)
     ahead, right = (nearest_axis(direction) for direction in horizon(up))

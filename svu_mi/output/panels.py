@@ -10,8 +10,6 @@ The argument ``estimate`` provides texels and coverage. ``values`` are numbers p
 default the entropy; ``limits`` are the values at the ends of the colormap.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -42,7 +40,7 @@ KNOWN_WIDTH = 0.05  # bar width of a known parameter, which has a single node
 
 
 def draw_photograph(
-    axes: Axes, capture: Capture, view: int, window: object_views.Window | None = None
+    axes: "Axes", capture: Capture, view: int, window: object_views.Window | None = None
 ) -> None:
     """Draw a photograph, exposed for the object and cropped to ``window`` (default: its mask)."""
     mask = capture.masks[view] if capture.masks else None
@@ -53,14 +51,14 @@ def draw_photograph(
 
 
 def draw_map(
-    axes: Axes,
+    axes: "Axes",
     estimate: Estimate,
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str | Colormap = style.COLORMAP,
+    colormap: "str | Colormap" = style.COLORMAP,
     interpolation: str | None = None,
-) -> AxesImage:
+) -> "AxesImage":
     """Draw a value of every texel in the layout of the texture; row 0 is v = 0.
 
     Unseen texels are grey; pixels without surface are nearly white. ``interpolation`` is passed to
@@ -82,9 +80,9 @@ def draw_map(
 
 
 def draw_scaled_map(
-    axes: Axes, estimate: Estimate, values: Any | None = None, label: str = "", *,
+    axes: "Axes", estimate: Estimate, values: Any | None = None, label: str = "", *,
     ticks: Sequence[float] = (), **options: Any,
-) -> Colorbar:  # fmt: skip
+) -> "Colorbar":  # fmt: skip
     """Draw a map (see ``draw_map`` for ``options``) with a colour bar below.
 
     ``ticks`` are the labelled values of the bar; default: matplotlib's.
@@ -95,7 +93,7 @@ def draw_scaled_map(
 
 
 def draw_on_object(
-    axes: Axes, capture: Capture, estimate: Estimate, view: int, values: Any | None = None,
+    axes: "Axes", capture: Capture, estimate: Estimate, view: int, values: Any | None = None,
     **options: Any,
 ) -> None:  # fmt: skip
     """Draw a value of every texel on the object, from a camera of the capture.
@@ -106,7 +104,7 @@ def draw_on_object(
     draw_look(axes, look, map_colors(estimate, values, **options))
 
 
-def draw_look(axes: Axes, look: ObjectView, colors: np.ndarray) -> None:
+def draw_look(axes: "Axes", look: ObjectView, colors: np.ndarray) -> None:
     """Draw the view ``look`` of the object, textured with screen colours (H, W, 3), cropped."""
     shown = look.painted(colors)
     style.draw_image(
@@ -116,7 +114,7 @@ def draw_look(axes: Axes, look: ObjectView, colors: np.ndarray) -> None:
 
 def map_colors(
     estimate: Estimate, values: Any | None = None, *, limits: tuple[float, float] = (0, 1),
-    colormap: str | Colormap = style.COLORMAP, gutter: float = GUTTER,
+    colormap: "str | Colormap" = style.COLORMAP, gutter: float = GUTTER,
 ) -> np.ndarray:  # fmt: skip
     """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
@@ -152,13 +150,13 @@ def fully_seen(texels: Texels) -> Any:
 
 
 def draw_posterior(
-    axes: Axes,
+    axes: "Axes",
     posterior: Posterior,
     texel: int,
     names: tuple[str, str] | None = None,
     *,
-    truth: GroundTruth | None = None,
-) -> QuadMesh:
+    truth: "GroundTruth | None" = None,
+) -> "QuadMesh":
     """Draw the posterior of one texel over two parameters (Fig. 4 of the paper).
 
     Other parameters are marginalised, and three colour channels are averaged. Colours range from 0
@@ -194,7 +192,7 @@ def draw_posterior(
 
 
 def draw_marginal(
-    axes: Axes, posterior: Posterior, texel: int, name: str, *, truth: GroundTruth | None = None
+    axes: "Axes", posterior: Posterior, texel: int, name: str, *, truth: "GroundTruth | None" = None
 ) -> None:
     """Draw the marginal of one parameter of one texel as bars, one per node of the grid.
 

@@ -1,7 +1,5 @@
 """``recovery.png``: page with renders, recovered textures and their uncertainty."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -102,12 +100,12 @@ def _maps(recovery: Recovery, estimate: Estimate | None, field: TextureField | N
     return [*panels, ("Entropy", partial(_scaled, estimate=estimate, label=GREYS))]
 
 
-def _texture(axes: Axes, image: np.ndarray) -> None:
+def _texture(axes: "Axes", image: np.ndarray) -> None:
     axes.imshow(image)
     style.frame_map(axes)
 
 
-def _scaled(axes: Axes, estimate: Any, **options: Any) -> None:
+def _scaled(axes: "Axes", estimate: Any, **options: Any) -> None:
     """Draw a map with a colour bar; if ``estimate`` is None, write "not estimated"."""
     if estimate is None:
         style.frame_map(axes)

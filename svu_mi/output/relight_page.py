@@ -1,7 +1,5 @@
 """Files of ``svu relight``: renders under another light and their standard deviations."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -138,7 +136,7 @@ def write_relit_page(
     style.write_page(path, (CELL * COLUMNS, height), HEADING, notes, [block])
 
 
-def _scaled(axes: Axes, values: np.ndarray, limits: tuple[float, float]) -> None:
+def _scaled(axes: "Axes", values: np.ndarray, limits: tuple[float, float]) -> None:
     drawn = axes.imshow(values, cmap=VIEWS_COLORMAP, vmin=limits[0], vmax=limits[1])
     style.frame_map(axes)
     style.color_bar(axes, drawn, "", ticks=np.linspace(*limits, 3).tolist())

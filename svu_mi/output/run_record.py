@@ -1,7 +1,5 @@
 """``run.json``: inputs, settings, results and environment of a run."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import json
@@ -95,7 +93,7 @@ def run_record(
 
 
 def recovery_record(
-    capture: Capture, recovery: Recovery, estimate: Estimate | None = None
+    capture: Capture, recovery: "Recovery", estimate: Estimate | None = None
 ) -> dict[str, Any]:
     """Return the record of a recovery, and of the estimate written with it."""
     losses = np.asarray(recovery.losses, np.float64)
@@ -114,7 +112,7 @@ def recovery_record(
     return _record(capture, recovery, settings, result, timings_s=recovery.timings)
 
 
-def guidance_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
+def guidance_record(capture: Capture, estimate: Estimate, guidance: "Guidance") -> dict[str, Any]:
     """Return the record of an estimate and its guidance."""
     result = {
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
@@ -147,7 +145,7 @@ def _settings(estimate: Estimate) -> dict[str, Any]:
 
 
 def _record(
-    capture: Capture, seen: Estimate | Recovery, settings: dict[str, Any], result: dict[str, Any],
+    capture: Capture, seen: "Estimate | Recovery", settings: dict[str, Any], result: dict[str, Any],
     **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """Return a record; texels are counted in ``seen``, and ``more`` contains further entries."""

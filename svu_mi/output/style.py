@@ -4,8 +4,6 @@
 layout is in ``templates/page.css``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +41,7 @@ PNG_LEVEL = 3  # half the time of Pillow's default 6, for 10 % more bytes
 BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, relative to its axes
 
 
-def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) -> Figure:
+def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) -> "Figure":
     """Return an empty figure of ``width`` x ``height`` inches; ``options`` are matplotlib's."""
     # Imported here: matplotlib takes half a second. pyplot and its global state are not used.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -54,7 +52,7 @@ def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) ->
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: "Figure", path: str | Path) -> None:
     """Write a figure as PNG, atomically.
 
     Raises:
@@ -68,7 +66,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", pil_kwargs={"compress_level": PNG_LEVEL})
 
 
-def heading(figure: Figure, text: str, notes: Sequence[str] = ()) -> None:
+def heading(figure: "Figure", text: str, notes: Sequence[str] = ()) -> None:
     """Write the title of a page, and notes in a line below."""
     height = figure.get_size_inches()[1]
     same: Any = {"va": "center"}
@@ -123,7 +121,7 @@ def write_page(
     save_figure(figure, path)
 
 
-def title(axes: Axes, text: str, pad: float = 6) -> None:
+def title(axes: "Axes", text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
     # With a given y, matplotlib does not measure all ticks of the figure.
     axes.set_title(text, loc="left", y=1.0, size=11.5, color=INK, pad=pad)
@@ -134,50 +132,50 @@ def photograph_title(name: str) -> str:
     return f"Photograph {name if len(name) <= LONGEST else f'…{name[1 - LONGEST :]}'}"
 
 
-def caption(axes: Axes, text: str) -> None:
+def caption(axes: "Axes", text: str) -> None:
     """Write a smaller title over the middle of axes."""
     axes.set_title(text, loc="center", y=1.0, size=10, color=INK, pad=4)
 
 
-def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> None:
+def labels(axes: "Axes", across: str = "", up: str = "", size: float = TEXT) -> None:
     """Write the labels of both axes."""
     axes.set_xlabel(across, size=size, color=FAINT)
     axes.set_ylabel(up, size=size, color=FAINT)
 
 
-def legend(axes: Axes, size: float = TEXT, **options: Any) -> None:
+def legend(axes: "Axes", size: float = TEXT, **options: Any) -> None:
     """Draw a legend without a frame; ``options`` are matplotlib's."""
     axes.legend(fontsize=size, frameon=False, labelcolor=INK, **options)
 
 
-def write_centered(axes: Axes, text: str) -> None:
+def write_centered(axes: "Axes", text: str) -> None:
     """Write a text in the centre of empty axes."""
     same: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
     axes.text(0.5, 0.5, text, color=FAINT, size=11, **same)
 
 
-def minimal_axes(axes: Axes) -> None:
+def minimal_axes(axes: "Axes") -> None:
     """Draw faint lower and left axes only."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(RULE)
     axes.tick_params(labelsize=9, color=RULE, labelcolor=INK, length=3)
 
 
-def frame_map(axes: Axes) -> None:
+def frame_map(axes: "Axes") -> None:
     """Draw a faint frame around a map, without ticks."""
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_color(RULE)
 
 
-def draw_image(axes: Axes, image: np.ndarray) -> None:
+def draw_image(axes: "Axes", image: np.ndarray) -> None:
     """Draw a picture without axes."""
     axes.imshow(image)
     axes.set_axis_off()
 
 
 def scalar_mappable(
-    limits: tuple[float, float], colormap: str | Colormap = COLORMAP
-) -> ScalarMappable:
+    limits: tuple[float, float], colormap: "str | Colormap" = COLORMAP
+) -> "ScalarMappable":
     """Return a mapping of numbers to colours, also for a colour bar."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -186,7 +184,7 @@ def scalar_mappable(
 
 
 def colors(
-    values: np.ndarray, limits: tuple[float, float] = (0, 1), colormap: str | Colormap = COLORMAP
+    values: np.ndarray, limits: tuple[float, float] = (0, 1), colormap: "str | Colormap" = COLORMAP
 ) -> np.ndarray:
     """Return the screen colours of numbers of any shape, (..., 3) float32."""
     drawn = scalar_mappable(limits, colormap)
@@ -209,7 +207,7 @@ def css_gradient(colormap: str) -> str:
 
 
 def color_bar(
-    axes: Axes, drawn: Any, label: str = "",
+    axes: "Axes", drawn: Any, label: str = "",
     place: tuple[float, float, float, float] | None = BELOW, size: float = TEXT,
     ticks: Sequence[float] = (),
 ) -> Any:  # fmt: skip

@@ -6,8 +6,6 @@ Base colour is integrated in closed form (``truncated_normal``), others on nodes
 Probabilities are integrals over the grid's bins, and the entropy (Eq. 5) is computed from them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -244,7 +242,7 @@ class CalibratedKernel(Kernel):
 
     def of_tiles(
         self, tiles: Sequence[tuple[kernel.PosteriorSummary, np.ndarray]], texels: np.ndarray
-    ) -> CalibratedKernel:
+    ) -> "CalibratedKernel":
         """Return a kernel whose moments, noise and entropy are those of the tiles' ``texels``.
 
         ``tiles`` are summaries and noise.
@@ -258,7 +256,7 @@ class CalibratedKernel(Kernel):
         problem = replace(self.problem, factors=factors)
         return replace(self, problem=problem, noise=np.concatenate(noise), summary=summary)
 
-    def widened_like(self, other: CalibratedKernel, texels: np.ndarray) -> CalibratedKernel:
+    def widened_like(self, other: "CalibratedKernel", texels: np.ndarray) -> "CalibratedKernel":
         """Return the kernel with the error bars of ``texels`` of another, in the same order."""
         lanes = other.lane[texels]
         return replace(
@@ -266,7 +264,7 @@ class CalibratedKernel(Kernel):
             support=None if other.support is None else other.support[lanes],
         )  # fmt: skip
 
-    def alone(self) -> CalibratedKernel:
+    def alone(self) -> "CalibratedKernel":
         """Return the kernel of texels by themselves: no common scale, no neighbours."""
         return replace(self, common=(0.0, 0.0, 0.0), apart={})
 

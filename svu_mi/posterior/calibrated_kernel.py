@@ -4,8 +4,6 @@ Each result needs one pass over the nodes of roughness and the mixing parameters
 (``node_integration``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,7 +74,7 @@ class MomentSums:
     squares: list[Any]
 
     @staticmethod
-    def zeros(number: int, count: int) -> MomentSums:
+    def zeros(number: int, count: int) -> "MomentSums":
         """Return zero sums of ``number`` parameters in ``count`` lanes."""
         first, second = ([dr.zeros(mi.Float64, count) for _ in range(number)] for _ in range(2))
         return MomentSums(first, second)
@@ -105,7 +103,7 @@ class BestBin:
     colors: list[Any]
 
     @staticmethod
-    def zeros(channels: int, count: int) -> BestBin:
+    def zeros(channels: int, count: int) -> "BestBin":
         """Return the initial best bin, with mass 0."""
         row, *colors = (dr.zeros(mi.UInt32, count) for _ in range(1 + channels))
         return BestBin(dr.zeros(mi.Float, count), row, colors)
@@ -133,7 +131,7 @@ class BinMasses:
     logs: Any
 
     @staticmethod
-    def zeros(problem: CalibratedProblem, count: int) -> BinMasses:
+    def zeros(problem: CalibratedProblem, count: int) -> "BinMasses":
         """Return empty bins."""
         _, of_column, of_color = problem.shape
         memory = zeroed_memory(of_column, problem.factors.channels * of_color)
@@ -193,7 +191,7 @@ class SummarySums:
     best: BestBin
 
     @staticmethod
-    def zeros(problem: CalibratedProblem) -> SummarySums:
+    def zeros(problem: CalibratedProblem) -> "SummarySums":
         """Return zero sums."""
         count, channels = problem.factors.count, problem.factors.channels
         others = MomentSums.zeros(len(problem.nodes.columns) + channels, count)

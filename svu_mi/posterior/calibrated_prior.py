@@ -1,7 +1,5 @@
 """Prior of the calibrated posterior: a density within the bins of the grid."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,7 +20,7 @@ class CalibratedPrior(Prior):
     problem: CalibratedProblem
 
     @staticmethod
-    def of(problem: CalibratedProblem, grid: PrincipledGrid) -> CalibratedPrior:
+    def of(problem: CalibratedProblem, grid: PrincipledGrid) -> "CalibratedPrior":
         """Return the prior of bins, (R, M ..., K) float64, the mean over channels."""
         return CalibratedPrior(
             prior_tables(problem).mean(axis=3).reshape(grid.shape), grid.axes, problem

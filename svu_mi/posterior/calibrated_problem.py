@@ -1,7 +1,5 @@
 """Inputs of a calibrated posterior: statistics, noise, prior, and tables of nodes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -56,7 +54,7 @@ class CalibratedProblem:
         return self.mixed.axes[MIXED.index(name)] if name in MIXED else self.roughness
 
     @cached_property
-    def nodes(self) -> NodeTables:
+    def nodes(self) -> "NodeTables":
         """Node tables of the kernels."""
         return NodeTables.of(self)
 
@@ -78,7 +76,7 @@ class CalibratedProblem:
         """True if the colour prior exceeds ``FULL_SUPPORT`` everywhere."""
         return self.color_prior is not None and float(dr.min(self.color_prior)[0]) > FULL_SUPPORT
 
-    def subset(self, chosen: np.ndarray) -> CalibratedProblem:
+    def subset(self, chosen: np.ndarray) -> "CalibratedProblem":
         """Return the problem of the lanes ``chosen``, in [0, S)."""
         lanes = to_drjit(mi.UInt32, chosen)
         return replace(
@@ -96,7 +94,7 @@ class NodeValues:
     variance: Any
 
     @staticmethod
-    def of(value: np.ndarray, variance: np.ndarray) -> NodeValues:
+    def of(value: np.ndarray, variance: np.ndarray) -> "NodeValues":
         return NodeValues(to_drjit(mi.Float, value), to_drjit(mi.Float, variance))
 
     def at(self, node: Any) -> Any:
@@ -139,7 +137,7 @@ class NodeTables:
     last: Any
 
     @staticmethod
-    def of(problem: CalibratedProblem) -> NodeTables:
+    def of(problem: CalibratedProblem) -> "NodeTables":
         r, m = problem.roughness, problem.mixed
         levels, weights = spline_weights(r.value, problem.factors.levels)
         ends = np.diff(r.bin, append=r.bins) != 0

@@ -1,7 +1,5 @@
 """Product grids of BRDF parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
@@ -92,7 +90,7 @@ class ParameterGrid(_UnitGrid):
                 f"ParameterGrid: spacing must be uniform or dielectric, got {self.spacing!r}."
             )
 
-    def resolved(self, preset: Preset) -> ParameterGrid:
+    def resolved(self, preset: Preset) -> "ParameterGrid":
         """Return the grid; a ``spacing`` of None is replaced by the preset's."""
         return self if self.spacing else replace(self, spacing=preset.spacing)
 

@@ -1,7 +1,5 @@
 """Samples of held-out photographs, and their prediction from the photographs of other folds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -147,7 +145,7 @@ class PackedValues:
     channels: int
 
     @staticmethod
-    def of(draws: Sequence[Values], levels: int) -> PackedValues:
+    def of(draws: Sequence[Values], levels: int) -> "PackedValues":
         """Pack D draws (F, t, g) of each parameter; draws of a texel are neighbouring rows."""
         rows = []
         for values in draws:

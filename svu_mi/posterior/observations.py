@@ -4,8 +4,6 @@ Estimates, recovery, guidance and references reuse one ``Observed``. Silhouettes
 and rays to light cells are computed once, on first use.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -100,16 +98,16 @@ class Observed:
     _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
     _rays: dict[Any, Any] = field(default_factory=dict, repr=False)
 
-    def subset(self, texels: np.ndarray) -> Observed:
+    def subset(self, texels: np.ndarray) -> "Observed":
         """Return a copy that computes only (t,) ``texels``, with the same light."""
         return replace(self, seen=texels, cache=ArrayCache(), _rays={})
 
-    def on_plane(self, albedo: float) -> Observed:
+    def on_plane(self, albedo: float) -> "Observed":
         """Return a copy with the light above a plane (see ``above_plane``)."""
         cache = self.cache.under("plane", albedo)
         return replace(self, plane=albedo, cache=cache, _of_light={}, _rays={})
 
-    def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> Observed:
+    def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> "Observed":
         """Return (t,) texels once for each group of views, without these (see ``Visibility``).
 
         Rays that were traced for ``seen`` are not traced again.
@@ -123,7 +121,7 @@ class Observed:
             _rays={key: rays.subset(lanes) for key, rays in self._rays.items()},
         )  # fmt: skip
 
-    def without_clipped(self) -> Observed:
+    def without_clipped(self) -> "Observed":
         """Return a copy that ignores saturated samples."""
         return replace(self, visibility=replace(self.visibility, clipped=None))
 

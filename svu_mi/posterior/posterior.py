@@ -1,7 +1,5 @@
 """Posterior of T texels; results are computed on request."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
@@ -339,7 +337,7 @@ class Posterior(Generic[K]):
         own = self.kernel.channels_of(name) > 1
         return _tensor(values.copy() if own else values[..., 0].copy())
 
-    def kl(self, other: Posterior) -> Any:
+    def kl(self, other: "Posterior") -> Any:
         """Return KL(p || q) of each texel p to each texel q of ``other``, (T, T').
 
         Channels are averaged (Sec. 5.2); probabilities below 1e-30 count as 1e-30.

@@ -5,8 +5,6 @@ are divided into parts of equal width, with a quadrature node in the middle and 
 Base colour needs no nodes: it is integrated in closed form (``truncated_normal``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +62,7 @@ class QuadratureAxis:
         """Return the prior probability of each bin, (bins,) float64."""
         return np.bincount(self.bin, self.mass, self.bins)
 
-    def subset(self, bins: np.ndarray) -> QuadratureAxis:
+    def subset(self, bins: np.ndarray) -> "QuadratureAxis":
         """Return the parts in bins selected by a (bins,) bool mask."""
         kept = bins[self.bin]
         return QuadratureAxis(

@@ -4,8 +4,6 @@ Radiance b is compressed to b / (b + u) with the mean radiance u, so that no hig
 View dependence is the deviation of samples from the mean of their texel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,7 +39,7 @@ class Surroundings:
     from_above: bool
 
     @staticmethod
-    def of(observed: Observed, texels: np.ndarray) -> Surroundings:
+    def of(observed: Observed, texels: np.ndarray) -> "Surroundings":
         """Return the geometry of texels in the used photographs."""
         up = up_direction(observed.capture)
         side = unit_vectors(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]))

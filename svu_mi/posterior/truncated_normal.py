@@ -9,8 +9,6 @@ To avoid cancellation, densities are relative to the best colour in [0, 1], and 
 (y = 1 - c) if mu > 1/2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, log, pi, sqrt
@@ -97,7 +95,7 @@ class ChannelLikelihood:
     s: Any
 
     @staticmethod
-    def of(u: list[Any], v: list[Any], floor: Any) -> ChannelLikelihood:
+    def of(u: list[Any], v: list[Any], floor: Any) -> "ChannelLikelihood":
         """Return the likelihood for the energy 1/2 |c u + v|^2; ``floor`` is added to |v|^2."""
         A, B = _dot(u, u), _dot(u, v)
         c = dr.clip(-B / dr.maximum(A, 1e-30), 0, 1)
@@ -110,7 +108,7 @@ class ChannelLikelihood:
 
     def integrate(
         self, edges: list[float], prior: list[Any] | None = None, certain: bool = True
-    ) -> ColorIntegrals:
+    ) -> "ColorIntegrals":
         """Integrate over bins of (K + 1,) symmetric ``edges`` in [0, 1].
 
         ``prior`` are K Floats, the density of c in each bin (default: 1); with ``certain``, they
@@ -205,7 +203,7 @@ class ChannelLikelihood:
         first = -scale * dr.select(self.mirrored, 1 - self.mu, self.mu)
         return first, scale, dr.square(scale * dr.minimum(self.mu, 0))
 
-    def integrate_with_prior(self, edges: list[float], prior: list[Any]) -> ColorIntegrals:
+    def integrate_with_prior(self, edges: list[float], prior: list[Any]) -> "ColorIntegrals":
         """Integrate as ``integrate``, slowly, for priors that can contradict the likelihood."""
         density = [mi.Float64(weight) for weight in self._turned(prior)]
         of_bins = [self._bin(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]

@@ -1,7 +1,5 @@
 """SVBRDF textures: base colour, roughness and metallic over a UV map."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,7 +37,7 @@ class Textures(ByParameter):
                 )
 
     @classmethod
-    def of(cls, images: Mapping[str, np.ndarray]) -> Textures:
+    def of(cls, images: Mapping[str, np.ndarray]) -> "Textures":
         """Create textures from copies of NumPy images (H, W, C), by name."""
         return cls(**{
             name: mi.TensorXf(to_drjit(mi.Float, images[name].ravel()), shape=images[name].shape)
@@ -52,7 +50,7 @@ class Textures(ByParameter):
         height, width = tuple(self.base_color.shape)[:2]
         return width, height
 
-    def with_constant(self, values: Mapping[str, float]) -> Textures:
+    def with_constant(self, values: Mapping[str, float]) -> "Textures":
         """Return the textures with some parameters replaced by constants, by name."""
         new = {n: dr.full(mi.TensorXf, x, tuple(self[n].shape)) for n, x in values.items()}
         return Textures(**{**dict(self.items()), **new})

@@ -1,7 +1,5 @@
 """Albedo of specular lobes by level and viewing angle."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +26,7 @@ class AlbedoTable:
     dielectric: Any
 
     @staticmethod
-    def of(alpha: np.ndarray, rule: Fresnel) -> AlbedoTable:
+    def of(alpha: np.ndarray, rule: Fresnel) -> "AlbedoTable":
         """Tabulate lobes of (K,) widths."""
         return AlbedoTable(
             rule, to_drjit(mi.Float, split_sum(alpha).ravel()),

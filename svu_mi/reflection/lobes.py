@@ -4,8 +4,6 @@ A lobe of width alpha is approximated by a rotationally symmetric one, so that l
 prefiltered (light/prefiltered.py). Its direction and albedo depend on the viewing angle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -39,7 +37,7 @@ class Normals(NamedTuple):
     around: list[Any]
 
     @staticmethod
-    def of(normal: Any, bend: tuple[Any, Any] | None = None) -> Normals:
+    def of(normal: Any, bend: tuple[Any, Any] | None = None) -> "Normals":
         """Return normals of covariance a a^T + b b^T, with ``bend`` = (a, b); None: equal ones."""
         mean = mi.Vector3f(normal)
         if bend is None:

@@ -5,8 +5,6 @@ A lobe is approximated by a rotationally symmetric one. Its Fresnel term is aver
 ray in the mirror direction determines the visibility of the light.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +40,7 @@ class NarrowLobes:
     def of(
         lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int,
         *, disk: bool = True,
-    ) -> NarrowLobes:  # fmt: skip
+    ) -> "NarrowLobes":  # fmt: skip
         """Prefilter the light. If ``disk`` is False, the sun's disk is summed separately."""
         profile = lobe_profile(switches.lobe)
         return NarrowLobes(

@@ -6,8 +6,6 @@ the mirror direction. If the object is shown as photographed, rays of all lobes 
 and the part that other surfaces hide.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -53,7 +51,7 @@ class NearLobes:
     @staticmethod
     def of(
         near: NearLight, channels: int, alpha: np.ndarray, switches: AngularPreset
-    ) -> NearLobes:  # fmt: skip
+    ) -> "NearLobes":  # fmt: skip
         """Tabulate the lobes of (K,) widths."""
         profile = lobe_profile(switches.lobe)
         centers = dominance(alpha) if switches.off_specular else np.ones(len(alpha))

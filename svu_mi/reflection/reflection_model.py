@@ -4,8 +4,6 @@ Radiance is a mixture of four parts e, p, q and d (``principled.py``). Narrow lo
 light, wide lobes sum light cells. ``fast`` has no wide lobes; ``paper`` uses spherical harmonics.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -74,7 +72,7 @@ class ReflectionModel:
     def of(
         surface: TexelLanes, light: IncidentLight, roughness: np.ndarray, switches: AngularPreset,
         fitted: Any | None = None,
-    ) -> ReflectionModel:  # fmt: skip
+    ) -> "ReflectionModel":  # fmt: skip
         """Prefilter the light (unless lobes are fitted) and sum its diffuse moments."""
         if np.any(np.diff(roughness) <= 0):
             raise OptionError(f"Roughness levels must be ascending, got {roughness.tolist()}.")
@@ -107,7 +105,7 @@ class ReflectionModel:
             roughness, surface, switches, narrow, wide, fitted, moments, near, lamps, flash
         )
 
-    def with_flash(self, light: FlashLight) -> ReflectionModel:
+    def with_flash(self, light: FlashLight) -> "ReflectionModel":
         """Return the model with the flash of other views."""
         assert self.flash is not None
         return replace(self, flash=replace(self.flash, light=light))

@@ -9,8 +9,6 @@ It is never negative, also between interpolated levels. The square of U's last e
 of the best x; its minimum over roughness is stored separately (``residual_floor``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -70,11 +68,11 @@ class Factors:
         """Number of values per texel."""
         return stride(self.levels, self.channels)
 
-    def reader(self, lane: Any | None = None) -> FactorReader:
+    def reader(self, lane: Any | None = None) -> "FactorReader":
         """Return a reader of the factors of texels ``lane`` (UInt32, default: all)."""
         return FactorReader(self, dr.arange(mi.UInt32, self.count) if lane is None else lane)
 
-    def subset(self, chosen: np.ndarray) -> Factors:
+    def subset(self, chosen: np.ndarray) -> "Factors":
         """Return the factors of the lanes ``chosen``, in [0, S)."""
         lanes = to_drjit(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         values = mi.Float()
@@ -93,7 +91,7 @@ class Factors:
         )
 
     @staticmethod
-    def concatenated(parts: Iterable[Factors], count: int) -> Factors:
+    def concatenated(parts: "Iterable[Factors]", count: int) -> "Factors":
         """Concatenate parts with ``count`` texels in total; one part is in memory at a time."""
         values, views, texel, done, part = mi.Float(), [], [], 0, None
         for part in parts:

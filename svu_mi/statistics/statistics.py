@@ -9,8 +9,6 @@ over the views with weights. Sums are in double precision, because errors are sm
 sums. ``Factors`` are in single precision.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -55,7 +53,7 @@ class LazyStatistics:
     kappa: float
     edges: float
 
-    def statistics(self) -> Statistics:
+    def statistics(self) -> "Statistics":
         """Return the evaluated sums."""
         count, columns = int(dr.width(self.texel)), [*self.columns, self.weight]
         sums = blocks.write_blocks(mi.Float64, columns, count, self.counts)
@@ -109,7 +107,7 @@ class Statistics:
         """Number of values per texel, R C P + 1."""
         return self.levels * self.channels * len(PAIRS) + 1
 
-    def __add__(self, other: Statistics) -> Statistics:
+    def __add__(self, other: "Statistics") -> "Statistics":
         """Return the statistics of the union of both sets of views."""
         if (
             self.channels != other.channels
@@ -155,7 +153,7 @@ class Statistics:
         """(S,) float64, sum of the weights of samples."""
         return blocks.from_blocks(self.sums, self.rows, self.count)[-1]
 
-    def left_out(self, groups: int) -> Statistics:
+    def left_out(self, groups: int) -> "Statistics":
         """Return the sums of all groups of views, and those without each: (1 + G) t texels.
 
         Texel g t + k of this is texel k in the views of group g alone.
@@ -185,7 +183,7 @@ class Statistics:
         counts = to_drjit(mi.Float, counts.ravel())
         return replace(self, sums=sums, counts=counts, texel=lane)
 
-    def subset(self, lanes: np.ndarray) -> Statistics:
+    def subset(self, lanes: np.ndarray) -> "Statistics":
         """Return the statistics of the texels in ``lanes``, indices in [0, S)."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         return replace(
@@ -194,7 +192,7 @@ class Statistics:
             texel=dr.gather(mi.UInt32, self.texel, chosen),
         )  # fmt: skip
 
-    def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
+    def replaced(self, lanes: np.ndarray, others: "Statistics") -> "Statistics":
         """Return a copy in which ``others`` replaces the statistics of the (distinct) ``lanes``."""
         chosen = to_drjit(mi.UInt32, lanes.astype(np.uint32))
         counts = mi.Float(self.counts)
@@ -220,7 +218,7 @@ class Statistics:
     def of(
         table: np.ndarray, weight: np.ndarray, views: np.ndarray, roughness: np.ndarray,
         kappa: float = inf,
-    ) -> Statistics:  # fmt: skip
+    ) -> "Statistics":  # fmt: skip
         """Return statistics from NumPy sums, (R, C, P, S); the inverse of ``table``."""
         channels, count = table.shape[1], table.shape[-1]
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])

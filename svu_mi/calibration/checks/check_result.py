@@ -1,7 +1,5 @@
 """Results of a check."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
@@ -87,7 +85,7 @@ class ViewMeans:
     color_error: float | None
 
     @staticmethod
-    def of(views: tuple[ViewCheck, ...]) -> ViewMeans:
+    def of(views: tuple[ViewCheck, ...]) -> "ViewMeans":
         """Average over views."""
         means = {}
         for name in (each.name for each in fields(ViewMeans)):

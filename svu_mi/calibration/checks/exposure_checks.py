@@ -16,8 +16,6 @@ captures of 24 views (12 views: 80 %, 8 views: 70 %), without false positives. T
 calibrated materials (``calibration.exposure``) is more precise, but takes ten times longer.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -90,8 +88,8 @@ class Irradiance(NamedTuple):
 
     @staticmethod
     def of(
-        scene: Any, points: Points, environment: Environment, cells: LightCells | None = None
-    ) -> Irradiance:
+        scene: Any, points: Points, environment: "Environment", cells: LightCells | None = None
+    ) -> "Irradiance":
         """Sum irradiance over cells of the light; trace occlusion in a few even directions."""
         cells = cells or build_light_tree(environment, COARSE, CELLS).fine
         flux, toward = read_cells(cells)
@@ -162,13 +160,13 @@ def _seen_from_many_sides(sightings: PointSamples, seen: np.ndarray) -> np.ndarr
     return np.linalg.norm(total, axis=1) < NARROW * seen.sum(axis=0)
 
 
-def unit_of(capture: Capture, small: Capture) -> float:
+def unit_of(capture: "Capture", small: "Capture") -> float:
     """Return the radiance of a pixel value of 1 in a reduced capture."""
     view = capture.used.index(True)
     return small.exposures[view] / capture.exposures[view]
 
 
-def too_bright(estimate: Estimate) -> str | None:
+def too_bright(estimate: "Estimate") -> str | None:
     """Return a message if the photographs are too bright for the light, else None."""
     seen = estimate.observed
     if seen is None or has_lamps(seen.capture):
@@ -181,7 +179,7 @@ def too_bright(estimate: Estimate) -> str | None:
     return excess and excess.sentence(estimated=seen.capture.found_light is not None)
 
 
-def warn_of_exposure(capture: Capture, estimate: Estimate) -> Capture:
+def warn_of_exposure(capture: "Capture", estimate: "Estimate") -> "Capture":
     """Warn of photographs that are too bright for their light or saturated; return the capture with
     these warnings."""
     sentences, seen = [too_bright(estimate)], estimate.observed
@@ -191,7 +189,7 @@ def warn_of_exposure(capture: Capture, estimate: Estimate) -> Capture:
     return capture.warned(*filter(None, sentences))
 
 
-def saturated_share(capture: Capture, small: Capture) -> float:
+def saturated_share(capture: "Capture", small: "Capture") -> float:
     """Return the saturated or unusable part of the object's pixels; ``small``: reduced capture."""
     over, inside = 0, 0
     frames, views = Thumbnails.of(small), np.flatnonzero(capture.used)
@@ -237,7 +235,7 @@ class Reflections(NamedTuple):
     @staticmethod
     def of(
         scene: Any, points: Points, sightings: PointSamples, light: tuple[DistantLight, Irradiance]
-    ) -> Reflections:
+    ) -> "Reflections":
         """Look up the filtered light in the mirror directions of the cameras."""
         sky, arriving = light
         cosine, mirror = sightings.mirrored(points)

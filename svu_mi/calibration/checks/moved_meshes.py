@@ -4,8 +4,6 @@ Without masks, poses and mesh are judged by image gradients along the outline an
 of views. Both are only evidence if they are better than those of the same mesh in other places.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
@@ -45,7 +43,7 @@ class Advantage(NamedTuple):
         return self.contrast >= LEAST_CONTRAST or self.agreement >= LEAST_AGREEMENT
 
     @staticmethod
-    def of(capture: Capture, points: Points, hypothesis: AxisHypothesis) -> Advantage:
+    def of(capture: Capture, points: Points, hypothesis: AxisHypothesis) -> "Advantage":
         """Compare the mesh of a reduced capture with moved ones, under corrections."""
         frames = Thumbnails.of(limit_views(reduce_photographs(capture, SMALL), VIEWS))
         few, (_, judge) = points.subset(COUNT), silhouette_fit(frames)

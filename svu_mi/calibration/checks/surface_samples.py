@@ -1,7 +1,5 @@
 """Surface points, their samples in photographs and texture, and distant light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -59,7 +57,7 @@ class Points:
     uv: np.ndarray | None
     offset: float
 
-    def subset(self, count: int) -> Points:
+    def subset(self, count: int) -> "Points":
         """Return at most ``count`` of the points, evenly distributed."""
         chosen = evenly_spaced(len(self.position), count)
         uv = None if self.uv is None else self.uv[chosen]
@@ -190,7 +188,7 @@ class Texture:
     albedo: np.ndarray
     flipped: np.ndarray
 
-    def turned(self) -> Texture:
+    def turned(self) -> "Texture":
         """Return the texture with V flipped."""
         return Texture(self.flipped, self.albedo)
 
@@ -258,7 +256,7 @@ class DistantLight:
     to_local: np.ndarray
 
     @staticmethod
-    def of(emitter: Any, mesh_turn: np.ndarray) -> DistantLight:
+    def of(emitter: Any, mesh_turn: np.ndarray) -> "DistantLight":
         """Filter an emitter; ``mesh_turn`` (3, 3) is the rotation of the mesh by corrections."""
         environment = read_environment(emitter)
         flux, toward = read_cells(build_light_tree(environment, COARSE, CELLS).fine)

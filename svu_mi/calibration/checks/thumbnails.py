@@ -1,7 +1,5 @@
 """Reduced photographs at arbitrary poses, and silhouettes of the mesh in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -34,7 +32,7 @@ class Thumbnails:
     poses: np.ndarray
 
     @staticmethod
-    def of(capture: Capture) -> Thumbnails:
+    def of(capture: Capture) -> "Thumbnails":
         """Collect the used photographs and poses of a reduced capture."""
         return Thumbnails(
             capture=capture,
@@ -59,7 +57,7 @@ class Thumbnails:
         shown = tonemapped(values[np.isfinite(values).all(axis=1)])
         return float(shown.var(axis=0).mean()) if len(shown) else 0.0
 
-    def posed(self, poses: np.ndarray) -> Thumbnails:
+    def posed(self, poses: np.ndarray) -> "Thumbnails":
         """Return the photographs with other camera-to-world matrices (V, 4, 4)."""
         rays = self.views.rays.numpy().reshape(-1, RAY_FLOATS).copy()
         cameras = self.views.cameras.numpy().reshape(-1, CAMERA_FLOATS).copy()

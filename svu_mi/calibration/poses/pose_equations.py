@@ -11,8 +11,6 @@ distribution, one for rotations and one for translations, are those of the motio
 EM algorithm), so that cameras stay where they are if nothing shows that they are off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -34,11 +32,11 @@ class PoseEquations:
     right: np.ndarray
 
     @staticmethod
-    def of(single: Sequence[tuple[np.ndarray, np.ndarray]]) -> PoseEquations:
+    def of(single: Sequence[tuple[np.ndarray, np.ndarray]]) -> "PoseEquations":
         """Stack A and b of V cameras."""
         return PoseEquations(np.stack([A for A, _ in single]), np.stack([b for _, b in single]))
 
-    def __add__(self, other: PoseEquations) -> PoseEquations:
+    def __add__(self, other: "PoseEquations") -> "PoseEquations":
         return PoseEquations(self.matrix + other.matrix, self.right + other.right)
 
     def solve(

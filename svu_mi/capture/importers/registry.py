@@ -5,8 +5,6 @@ whether a path is a capture of the format (splits may have separate files); ``re
 returns a ``Source``. Modules are imported on first use, to keep the start of the command line fast.
 """
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -71,7 +69,7 @@ class ReadOptions:
     """IDR, NeuS: convert poses to the unit sphere of scale_mat. Use it for meshes of NeuS."""
 
 
-def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
+def read_source(path: str | Path, options: ReadOptions | None = None) -> "Source":
     """Read the cameras and the file paths of a capture that another tool made.
 
     Args:

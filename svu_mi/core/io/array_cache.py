@@ -8,8 +8,6 @@ is written atomically, and contains a digest of its arrays. The least recently u
 removed when the folder exceeds its size limit.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -51,7 +49,7 @@ class ArrayCache:
     progress: Progress = field(default_factory=Progress, repr=False, compare=False)
     base: str = ""
 
-    def under(self, *inputs: Any) -> ArrayCache:
+    def under(self, *inputs: Any) -> "ArrayCache":
         """Return the same cache for results that also depend on ``inputs`` (see ``Key``)."""
         return replace(self, base=Key(self.base, *inputs).digest())
 

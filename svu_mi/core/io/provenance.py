@@ -5,8 +5,6 @@ files of the run, which identify edited files. EXR, PLY and scene files contain 
 their run and the key of their capture.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -50,7 +48,7 @@ class Entry:
     files: Mapping[str, str]
 
     @classmethod
-    def parse(cls, value: Any) -> Entry | None:
+    def parse(cls, value: Any) -> "Entry | None":
         """Return the entry of a JSON value; None if it is invalid."""
         try:
             entry = cls(**checked(value, ENTRY))

@@ -1,7 +1,5 @@
 """``Asset``: mesh, textures and uncertainty of an object."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -91,7 +89,7 @@ class Asset:
     @classmethod
     def of(
         cls, capture: Any, recovery: Any, estimate: Any | None = None, field: Any | None = None
-    ) -> Asset:
+    ) -> "Asset":
         """Return an asset from results in memory; the estimate may have another resolution."""
         seen = recovery if estimate is None else estimate
         entropy, deviations = None, {}

@@ -1,7 +1,5 @@
 """Summary of a report: surface shares by interval width, and sentences."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +37,7 @@ class WidthShares(NamedTuple):
     wide: float
 
     @classmethod
-    def of(cls, estimate: Any, intervals: Intervals, name: str) -> WidthShares:
+    def of(cls, estimate: Any, intervals: Intervals, name: str) -> "WidthShares":
         """Return the shares of a parameter; at least one texel of the intervals must be seen."""
         seen = is_seen(estimate)[intervals.chosen]
         area, half = texel_areas(estimate)[intervals.chosen][seen], intervals.half_width(name)[seen]

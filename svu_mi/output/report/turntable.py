@@ -1,7 +1,5 @@
 """Renders of the object on a turntable, and projection of texels into them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +41,7 @@ class Turntable:
     up: np.ndarray
 
     @classmethod
-    def around(cls, capture: Capture, count: int, side: int) -> Turntable:
+    def around(cls, capture: Capture, count: int, side: int) -> "Turntable":
         """Place ``count`` sensors around a capture's ``mesh``, with films of ``side`` pixels."""
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)

@@ -17,8 +17,6 @@ error than with s alone, up to a tolerance t:
 where <> is the mean product of errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -94,7 +92,7 @@ class HoldoutErrors:
     weights: np.ndarray
 
     @staticmethod
-    def of(graph: TexelGraph, hidden: np.ndarray, far: np.ndarray) -> HoldoutErrors:
+    def of(graph: TexelGraph, hidden: np.ndarray, far: np.ndarray) -> "HoldoutErrors":
         """Compute errors on ``hidden`` texels (T,); ``far``: distances from unknown to known."""
         training, texels = graph.with_hidden(hidden), np.flatnonzero(hidden)
         texels = texels[intervals.subsample(np.arange(len(texels)), TRIAL_TEXELS)]
@@ -137,7 +135,7 @@ class PredictorErrors:
     products: np.ndarray
 
     @staticmethod
-    def of(trials: Sequence[HoldoutErrors], rows: slice) -> PredictorErrors:
+    def of(trials: Sequence[HoldoutErrors], rows: slice) -> "PredictorErrors":
         return PredictorErrors(np.stack([trial.products(rows) for trial in trials]))
 
     @cached_property

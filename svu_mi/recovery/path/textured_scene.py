@@ -1,7 +1,5 @@
 """Copy of a scene in which the object's material is made of texture tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +31,7 @@ class PathScene:
     resolution: tuple[int, int]
 
     @staticmethod
-    def of(capture: Capture, start: Textures) -> PathScene:
+    def of(capture: Capture, start: Textures) -> "PathScene":
         """Copy the scene of a capture and set all textures to ``start``."""
         material = mi.load_dict(
             {"type": "principled", "specular": 0.5}

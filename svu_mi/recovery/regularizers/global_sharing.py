@@ -1,7 +1,5 @@
 """Global sharing: a regulariser between uncertain and certain texels (Eq. 14, 15)."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
@@ -95,7 +93,7 @@ class GlobalSharing(Regularizer):
     @classmethod
     def printed(
         cls, estimate: Estimate, mesh: Any | None = None, *, seeds: Any = SEEDS
-    ) -> GlobalSharing:
+    ) -> "GlobalSharing":
         """Return the sharing with the settings of the paper (Sec. 5.2, Eq. 14 and 15).
 
         Seeds are the 20 least local minima of the entropy on the surface. The divergence is

@@ -4,8 +4,6 @@ Both use the statistics and noise of the calibrated posterior (``posterior/calib
 Their cost is independent of the number of photographs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,7 +44,7 @@ class Likelihood:
     weight: Any
 
     @staticmethod
-    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> Likelihood:
+    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> "Likelihood":
         """Create the likelihood from the statistics and noise of an RGB posterior."""
         factors = posterior.kernel.problem.factors
         place = dr.gather(mi.UInt32, texels.index, factors.texel)
@@ -81,7 +79,7 @@ class QuadraticPrior:
     weight: Values
 
     @staticmethod
-    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> QuadraticPrior:
+    def of(posterior: Posterior[CalibratedKernel], texels: Texels) -> "QuadraticPrior":
         """Return -log N(psi; mean, variance) with the moments of each texel's posterior.
 
         If the likelihood has several minima, the mean lies between them, and total variation
@@ -93,7 +91,7 @@ class QuadraticPrior:
     @staticmethod
     def weighted_by_information(
         posterior: Posterior[CalibratedKernel], texels: Texels
-    ) -> QuadraticPrior:
+    ) -> "QuadraticPrior":
         """Return a prior with weights 1 - posterior variance / prior variance, in [0, 1]."""
         means, sds = texel_moments(posterior)
         trust = {}
@@ -104,8 +102,8 @@ class QuadraticPrior:
 
     @staticmethod
     def _to(
-        posterior: Posterior[CalibratedKernel], texels: Texels, means: Table, weights: Table
-    ) -> QuadraticPrior:
+        posterior: Posterior[CalibratedKernel], texels: Texels, means: "Table", weights: "Table"
+    ) -> "QuadraticPrior":
         seen = posterior.kernel.problem.factors.texel
         place, chosen = dr.gather(mi.UInt32, texels.index, seen), seen.numpy()
         return QuadraticPrior(place, values_of(means, chosen), values_of(weights, chosen))
@@ -195,7 +193,7 @@ class SmoothedStart:
     def of(
         posterior: Posterior[CalibratedKernel], texels: Texels, names: Sequence[str],
         around: Neighbors, variation: tuple[float, float],
-    ) -> SmoothedStart:  # fmt: skip
+    ) -> "SmoothedStart":  # fmt: skip
         """Create the loss from the means and variances of an RGB posterior."""
         keys = tuple((name, k) for name in names for k in range(CHANNELS[name]))
         means, sds = texel_moments(posterior)

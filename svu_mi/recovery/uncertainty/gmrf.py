@@ -12,8 +12,6 @@ Conjugate gradients propagate values by one texel per iteration. ``Nested`` ther
 solution on groups of 2 x 2 texels (nested iteration [Hackbusch 1985]).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -74,7 +72,7 @@ class Smoother:
     def of(
         precision: np.ndarray, values: np.ndarray, around: Sequence[Any], strength: float,
         epsilon: float,
-    ) -> Smoother:  # fmt: skip
+    ) -> "Smoother":  # fmt: skip
         """Create the matrix from D = ``precision`` and x0 = ``values``, (N, T) each."""
         own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
@@ -84,13 +82,13 @@ class Smoother:
     def with_precision(
         self, precision: np.ndarray, values: np.ndarray | None = None,
         masked: np.ndarray | None = None,
-    ) -> Smoother:  # fmt: skip
+    ) -> "Smoother":  # fmt: skip
         """Return a copy with another D and, if given, another x0 and mask."""
         start = self.start if values is None else _vector(values)
         hidden = None if masked is None else to_drjit(mi.Bool, masked)
         return replace(self, own=_vector(precision, 1), start=start, masked=hidden)._completed()
 
-    def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
+    def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> "Smoother":
         """Return the matrix of groups of 2 x 2 texels, given the group (T,) of each texel.
 
         Two links join adjacent groups, so the strength doubles. Epsilon doubles like the distance.
@@ -160,7 +158,7 @@ class Smoother:
         total = self._read(self.diagonal) * self._read(x)
         return _write_quads(over_neighbors(self.lanes, pulled, total))
 
-    def _completed(self) -> Smoother:
+    def _completed(self) -> "Smoother":
         """Return a copy with ``diagonal`` computed."""
 
         def added(other: Any, total: Any) -> Any:
@@ -246,11 +244,11 @@ class Nested:
     """
 
     smoother: Smoother
-    coarser: Nested | None = None
+    coarser: "Nested | None" = None
     owner: np.ndarray | None = None
 
     @staticmethod
-    def of(smoother: Smoother, squares: np.ndarray) -> Nested:
+    def of(smoother: Smoother, squares: np.ndarray) -> "Nested":
         """Group texels in squares of 2 x 2 recursively, down to FEW_TEXELS."""
         if len(squares) <= FEW_TEXELS:
             return Nested(smoother)
