@@ -11,17 +11,24 @@ STEP = 0.004  # largest distance, relative to the mesh's extent
 
 
 def shared_texels(texels: Texels) -> np.ndarray:
-    """Return the texel whose rays each texel shares, (T,) int64: the first of a block of 2 x 2.
+    """Return the texel whose rays each texel shares, (T,) int64.
 
-    Texels keep their own rays if their shading or face normal is turned by more than ``TURN`` from
-    the first, or if they are farther than ``STEP`` from it. Seen from the first, an occluder at
-    distance D moves by STEP / D, which is less than a fine cell if D > 0.07 of the extent.
+    It is the first of a block of 2 x 2, except for texels with a shading or face normal that is
+    turned by more than ``TURN`` from the first, or farther than ``STEP`` from it. These share the
+    rays of the first of them, with the same exceptions, which keep their own. Seen from another
+    texel, an occluder at distance D moves by STEP / D, less than a fine cell if D > 0.07 of the
+    extent.
     """
     width, index = texels.resolution[0], texels.index.numpy().astype(np.int64)
     block = index // width // 2 * width + index % width // 2
-    starts = np.flatnonzero(np.diff(block, prepend=-1))
-    first = np.repeat(starts, np.diff(starts, append=len(block)))
     turned = np.concatenate([texels.normal.numpy(), texels.geometric_normal.numpy()]) / TURN
     moved = texels.position.numpy() / (STEP * texels.extent)
-    far = sum(np.square(x - x[first]) for x in (*turned, *moved)) > 1
-    return np.where(far, np.arange(len(block)), first)
+    owner = left = np.arange(len(block))
+    for _ in range(2):
+        starts = np.flatnonzero(np.diff(block[left], prepend=-1))
+        first = left[np.repeat(starts, np.diff(starts, append=len(left)))]
+        far = sum(np.square(x[left] - x[first]) for x in (*turned, *moved)) > 1
+        owner = owner.copy()
+        owner[left] = np.where(far, left, first)
+        left = left[far]
+    return owner

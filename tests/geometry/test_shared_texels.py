@@ -26,14 +26,14 @@ def folded():
 
 
 @pytest.mark.parametrize("columns", [510, 102])
-def test_small_texels_of_one_side_share_rays(columns):
+def test_near_texels_of_one_side_share_rays(columns):
     layout = texels(folded(), (columns, 10))
     index, owner = layout.index.numpy().astype(int), shared_texels(layout)
     (x, y), (own_x, own_y) = ((i % columns, i // columns) for i in (index, index[owner]))
-    # The fold is in the middle of a block. Texels that are 0.02 wide share rays in their column.
-    alone = (x == columns // 2) | ((columns < 500) & (x % 2 == 1))
-    np.testing.assert_array_equal(own_x, np.where(alone, x, x - x % 2))
-    np.testing.assert_array_equal(own_y, np.where(alone, y, y - y % 2))
+    # The fold is in the middle of a block, and texels may be 0.02 wide: these share in columns.
+    apart = (x == columns // 2) | ((columns < 500) & (x % 2 == 1))
+    np.testing.assert_array_equal(own_x, np.where(apart, x, x - x % 2))
+    np.testing.assert_array_equal(own_y, y - y % 2)
 
 
 def test_shared_rays_find_the_same_light():
