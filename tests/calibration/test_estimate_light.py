@@ -63,21 +63,30 @@ def of_oracle(samples: TexelSamples, materials: Materials, number: int) -> np.nd
     ])  # fmt: skip
 
 
+def of_all(transport: Transport, materials: Materials) -> np.ndarray:
+    """Return the (3, S, N) transport of all samples."""
+    samples, light = transport.samples, np.ones((transport.number, 3))
+    every = transport.matrix(materials, light, np.ones(samples.count), slice(0, samples.count))
+    return np.stack(every).transpose(0, 2, 1)
+
+
 # --- transport --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("number", [64, 700])
-def test_transport_is_that_of_the_equations(number, monkeypatch):
+def test_transport_is_that_of_the_equations(number):
     samples, materials = made_up(12, 5)
     light = np.exp(smooth_light(number))
     truth = np.einsum("snc,nc->sc", of_oracle(samples, materials, number), light)
     transport = Transport.of(samples, number)
     np.testing.assert_allclose(reflected(transport, light, materials), truth, rtol=1e-4)
-    K = transport.matrix(materials).astype(np.float64)
-    np.testing.assert_allclose(np.einsum("csn,nc->sc", K, light), truth, rtol=1e-4)
-    monkeypatch.setattr("svu_mi.calibration.light.light_transport.LANES", 7 * number)  # of 60
-    with_spare = transport.matrix(materials, spare=2)
-    assert (with_spare[..., :number] == K).all() and not with_spare[..., number:].any()
+    weight = np.linspace(1, 2, samples.count)
+    K = np.stack(transport.matrix(materials, light, weight, slice(7, 40)), axis=2)
+    np.testing.assert_allclose(K.sum(axis=0) / weight[7:40, None], truth[7:40], rtol=1e-4)
+    texels, chosen = zip(*samples.blocks(7), strict=True)
+    assert [part.stop for part in texels[:-1]] == [part.start for part in texels[1:]]
+    assert [chosen[0].start, chosen[-1].stop, texels[-1].stop] == [0, samples.count, 12]
+    assert all((samples.owner[s] == t.start).all() for t, s in zip(texels, chosen, strict=True))
 
 
 def test_light_that_moves_is_that_of_turned_cameras():
@@ -86,7 +95,7 @@ def test_light_that_moves_is_that_of_turned_cameras():
     turns = np.stack([np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0]
                       for k in range(4)])  # fmt: skip
     turns *= np.sign(np.linalg.det(turns))[:, None, None]
-    moving = Transport.of(replace(samples, cameras=turns), 64, moves=True).matrix(materials)
+    moving = of_all(Transport.of(replace(samples, cameras=turns), 64, moves=True), materials)
     normals = samples.surface.normal.numpy().T
     for s in (0, 5, 23):
         t = samples.owner[s]
@@ -121,7 +130,7 @@ def test_a_cell_right_behind_the_texel_is_hidden(moves):
     columns = transport.columns(np.ones((64, 3)), np.array([0.0, 0.5, 1.0]))
     assert all(np.isfinite(part).all() for part in columns)
     materials = Materials(np.full(9, 0.5), np.zeros((9, 1)), np.full((9, 3), 0.5))
-    matrix = transport.matrix(materials)
+    matrix = of_all(transport, materials)
     assert np.isfinite(matrix).all()
     assert not matrix[:, np.arange(18), np.arange(9).repeat(2)].any() and matrix.any()
 
@@ -356,9 +365,9 @@ def test_other_lights_are_as_bright_and_textures_less_certain():
     np.testing.assert_allclose(estimate.cell_sd, np.sqrt(np.diag(covariance)), rtol=1e-4)
     columns = columns_of(fit.transport, np.exp(x), SWITCHES)
     right = scale_of(samples, columns, SWITCHES)
-    several = widening_of(fit.transport, columns, estimate.draws, right, SWITCHES)
+    several = widening_of(fit.transport, x, estimate.draws, right, SWITCHES)
     same, nowhere = np.tile(x, (6, 1, 1)), replace(right, best=np.zeros(3), common=1e-6)
-    sure = widening_of(fit.transport, columns, same, nowhere, SWITCHES)
+    sure = widening_of(fit.transport, x, same, nowhere, SWITCHES)
     assert sure == pytest.approx(1, abs=1e-3) and several > sure
 
 

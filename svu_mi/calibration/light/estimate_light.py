@@ -30,7 +30,6 @@ from svu_mi.calibration.light.light_transport import (
     Transport,
     annealed,
     columns_of,
-    misfit_of,
 )
 from svu_mi.calibration.light.light_uncertainty import (
     LightScale,
@@ -49,6 +48,8 @@ from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
 REFITS = 2  # iterations without outliers
+FEWEST, FEW = 300, 450  # texels of the coarsest cells, and of first iterations with finer ones
+WHOLE = 2  # last iterations with finer cells, with all texels
 MOVED = 0.8  # moving light is chosen if its misfit relative to fixed light is smaller
 ALBEDO = 0.5  # base colour assumed for the initial brightness
 
@@ -102,7 +103,7 @@ def estimate_light(
         else:
             scale = scale_of(fit.transport.samples, columns, switches)
         lights = sample_lights(fit, options.draws, options.seed)
-        widening = widening_of(fit.transport, columns, lights.draws, scale, switches)
+        widening = widening_of(fit.transport, fit.x, lights.draws, scale, switches)
     return LightEstimate(
         logarithm=fit.x + scale.best, draws=lights.draws + scale.best, cell_sd=lights.cell_sd,
         scale_sd=scale.sd, tint_sd=scale.tint, misfit=misfit, widening=widening,
@@ -123,7 +124,11 @@ def _estimate(
         def report() -> None:
             stage.update(next(done), total)
 
-        coarse = {m: problem.solve((first,), None, report) for m, problem in problems.items()}
+        few = {m: replace(p, samples=p.samples.thinned(FEWEST)) for m, p in problems.items()}
+        coarse = {
+            m: problem.solve((first,), None, report)
+            for m, problem in (few if finer else problems).items()
+        }
         still, moving = (coarse[m].misfit if m in coarse else np.nan for m in (False, True))
         moves = next(iter(problems)) if len(problems) == 1 else moving < MOVED * still
         fit = problems[moves].solve(tuple(finer), coarse[moves], report)
@@ -164,7 +169,10 @@ class LightProblem:
         for number, rounds in depths:
             seen = None if self.looks is None else self.looks.at(number)
             priors = LightPriors(prior_of(number), seen)
-            whole = Transport.of(self.samples, number, self.moves)
+            few, whole = (
+                Transport.of(samples, number, self.moves)
+                for samples in (self.samples.thinned(FEW), self.samples)
+            )
             # The level of initial light, whose shape is wrong, stays unconstrained.
             leveled = start is not None and seen is None
             if fit is None:  # constant light with the mean colour of the photographs
@@ -178,7 +186,8 @@ class LightProblem:
             gains = gains and replace(gains, odd=np.zeros_like(gains.odd))
             for left in reversed(range(rounds)):
                 flags = left == 0 and heat == 1
-                fit = self._step(whole, priors, (x, gains, heat), leveled, flags)
+                transport = whole if left < WHOLE else few
+                fit = self._step(transport, priors, (x, gains, heat), leveled, flags)
                 x, gains, heat = fit.x, fit.gains, max(heat * COOLING, 1.0)
                 if after_round is not None:
                     after_round()
@@ -190,12 +199,12 @@ class LightProblem:
         return fit
 
     def _step(
-        self, whole: Transport, priors: LightPriors,
+        self, given: Transport, priors: LightPriors,
         state: tuple[np.ndarray, FoundGains | None, float], leveled: bool, flags: bool,
     ) -> LightFit:  # fmt: skip
         """Run one iteration on materials, light (N, 3) and gains; ``flags`` updates outliers."""
         x, gains, heat = state
-        now, transport = annealed(self.switches, heat), without_gains(whole, gains)
+        now, transport = annealed(self.switches, heat), without_gains(given, gains)
         columns = columns_of(transport, np.exp(x), now)
         step = scale_of(transport.samples, columns, now).best if leveled else np.zeros(3)
         posterior = SampleMoments.of(transport.samples, columns).posterior(now, np.exp(step))
@@ -205,9 +214,9 @@ class LightProblem:
         change = system.step()
         if gains is not None:
             noise = posterior.kernel.noise if flags else None
-            gains, common = step_gains(gains, self.samples, system, change[len(x) :], noise)
+            gains, common = step_gains(gains, given.samples, system, change[len(x) :], noise)
             x = x + common
         x = x + change[: len(x)]
-        misfit = misfit_of(posterior, self.samples.unit)
-        normalized = without_gains(whole, gains)
+        misfit = float(np.median(posterior.kernel.noise)) / self.samples.unit
+        normalized = without_gains(given, gains)
         return LightFit(normalized, x, system, misfit, priors.seen is not None, gains)

@@ -11,7 +11,7 @@ import scipy
 from svu_mi.calibration.light.light_estimate import FoundGains
 from svu_mi.calibration.light.light_prior import LightPrior, SeenCells
 from svu_mi.calibration.light.light_samples import TexelSamples
-from svu_mi.calibration.light.light_transport import Materials, Transport, materials_of
+from svu_mi.calibration.light.light_transport import LANES, Materials, Transport, materials_of
 from svu_mi.errors import CaptureError
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel
@@ -109,31 +109,44 @@ def normal_equations(
     # Use the shared prior, as independent uncertain texels would bias the light.
     materials = materials_of(with_empirical_prior(posterior))
     slopes, predicted = _linearized(transport, light, materials)
-    views = 0 if gains is None else len(gains)
-    if priors is None:
-        J = np.zeros((3, samples.count, views), np.float32)
-        matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
-    else:
-        J = transport.matrix(materials, views)
-        of_cells = J[..., : transport.number]
-        of_cells *= light.T[:, None].astype(np.float32)
-        predicted = of_cells.sum(axis=2).T.astype(np.float64)
+    matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
+    if priors is not None:
         matrix, gradient = priors.precision_and_gradient(np.log(light))
     if gains is not None:
-        J[:, np.arange(samples.count), samples.view - views] = predicted.T
         matrix, gradient = _with_gains(matrix, gradient, gains)
     w = samples.weight / (posterior.kernel.noise[samples.owner] ** 2 * overdispersion)
     root, off = np.sqrt(w), samples.radiance - predicted
-    J *= root.astype(np.float32)[:, None]
-    for c, block in enumerate(_channels(J.shape[2])):
-        matrix[block, block] += J[c].T @ J[c]
-        gradient[c] -= J[c].T @ (root * off[:, c])
     own, pull = _material_equations(materials, samples, slopes, off * w[:, None], w)
     inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
-    eliminated = _eliminated(samples, J, root[:, None, None] * slopes, inverse)
+    turned = np.einsum("s,scp,smp->csm", root, slopes, inverse[samples.owner]).astype(np.float32)
+    eliminated = np.empty((*inverse.shape[:2], len(matrix)), np.float32)  # L^-1 H_(theta x)
+    weighted, channels = (root[:, None] * off).astype(np.float32), _channels(gradient.shape[1])
+    for texels, chosen in samples.blocks(LANES // transport.number):
+        J_of = [] if priors is None else transport.matrix(materials, light, root, chosen)
+        if gains is not None:
+            of_gains = _of_gains(root[:, None] * predicted, samples.view, len(gains), chosen)
+            pairs = zip(J_of, of_gains, strict=True)
+            J_of = [np.concatenate(pair) for pair in pairs] if J_of else of_gains
+        bounds = np.append(samples.first, samples.count)[texels.start : texels.stop + 1]
+        for c, J in enumerate(J_of):
+            matrix[channels[c], channels[c]] += J @ J.T
+            gradient[c] -= J @ weighted[chosen, c]
+            for t, (begin, end) in enumerate(pairwise(bounds), texels.start):
+                at = slice(begin - chosen.start, end - chosen.start)
+                np.matmul(turned[c, begin:end].T, J[:, at].T, out=eliminated[t, :, channels[c]])
+    eliminated = eliminated.reshape(-1, len(matrix))
     matrix -= eliminated.T @ eliminated
-    flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ eliminated
-    return NormalEquations(matrix, flat, predicted)
+    pulled = np.einsum("tmk,tk->tm", inverse, pull).ravel().astype(np.float32)
+    return NormalEquations(matrix, gradient.ravel() + pulled @ eliminated, predicted)
+
+
+def _of_gains(
+    predicted: np.ndarray, view: np.ndarray, views: int, chosen: slice
+) -> list[np.ndarray]:
+    """Return derivatives of ``chosen`` weighted samples by log gains, (V, s) float32 each."""
+    J = np.zeros((3, views, chosen.stop - chosen.start), np.float32)
+    J[:, view[chosen], np.arange(J.shape[2])] = predicted[chosen].T
+    return list(J)
 
 
 def _with_gains(
@@ -148,23 +161,6 @@ def _with_gains(
     whole[:, place, :, place] = own
     size = 3 * (number + views)
     return whole.reshape(size, size), np.concatenate([gradient, own @ gains.T], axis=1)
-
-
-def _eliminated(
-    samples: TexelSamples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
-) -> np.ndarray:
-    """Return E = L^-1 H_(theta x), (n P, 3 M) float32; the matrix is reduced by E^T E.
-
-    Loops over texels to read J, which is large, only once.
-    """
-    count, size = inverse.shape[:2]
-    eliminated = np.empty((count, size, 3 * J.shape[2]), np.float32)
-    turned = np.einsum("scp,smp->csm", slopes, inverse[samples.owner]).astype(np.float32)
-    ends = np.append(samples.first, samples.count)
-    for t, (begin, end) in enumerate(pairwise(ends)):
-        for c, block in enumerate(_channels(J.shape[2])):
-            np.matmul(turned[c, begin:end].T, J[c, begin:end], out=eliminated[t, :, block])
-    return eliminated.reshape(count * size, -1)
 
 
 def _channels(number: int) -> list[slice]:

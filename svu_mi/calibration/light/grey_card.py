@@ -25,9 +25,7 @@ FARTHEST = 3.0  # maximum factor per iteration, as base colour is clipped at 1
 NEAR = 12  # number of texels around the spot
 SHARPEST = 0.02  # minimum standard deviation of a texel
 
-Brightness = Callable[
-    [Estimate], np.ndarray
-]  # returns the ratio (3,) of estimated to known base colour
+Brightness = Callable[[Estimate], np.ndarray]  # ratio (3,) of estimated to known base colour
 
 
 def require_albedo(value: float, option: str) -> None:
@@ -77,7 +75,7 @@ def scaled_by_card(
 
     scaled, result = _scaled(light, observed, excess, dict.fromkeys(MIXED, 0.0))
     mean, sd = _spot(result, chosen)
-    return scaled.with_scale_sd(sd / mean)
+    return replace(scaled, scale_sd=sd / mean, tint_sd=sd / mean)
 
 
 def _spot(result: Estimate, chosen: np.ndarray) -> np.ndarray:

@@ -161,10 +161,6 @@ class LightEstimate:
             remarks=tuple(remark for remark in self.remarks if remark != UNANCHORED),
         )
 
-    def with_scale_sd(self, sd: np.ndarray) -> LightEstimate:
-        """Return the light with other standard deviations (3,) of its log scale."""
-        return replace(self, scale_sd=sd, tint_sd=sd)
-
     def _map(self, logarithm: np.ndarray) -> np.ndarray:
         """Return a radiance map whose mean over each cell is the radiance of the cell."""
         radiance = np.exp(self._interpolated(logarithm))

@@ -63,8 +63,9 @@ class LightPrior:
 
     def precision(self) -> np.ndarray:
         """Return the precision of all channels, (3 N, 3 N) float64, channel by channel."""
-        between = np.full((3, 3), 1 / 3)
-        return np.kron(between / 3, self.brightness) + np.kron(np.eye(3) - between, self.color)
+        between = self.brightness / 9 - self.color / 3
+        own = between + self.color
+        return np.block([[own if i == k else between for k in range(3)] for i in range(3)])
 
 
 @lru_cache(maxsize=2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,6 +73,14 @@ class TexelSamples:
         """(n,) index of the first sample of each texel."""
         return np.searchsorted(self.owner, np.arange(self.texels))
 
+    def blocks(self, size: int) -> Iterator[tuple[slice, slice]]:
+        """Yield slices of texels, and of their samples: about ``size`` samples each."""
+        ends = np.append(self.first, self.count)
+        step = max(size * self.texels // self.count, 1)
+        for begin in range(0, self.texels, step):
+            end = min(begin + step, self.texels)
+            yield slice(begin, end), slice(int(ends[begin]), int(ends[end]))
+
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values (S, ...) over the samples of each texel; return (n, ...)."""
         return np.add.reduceat(values, self.first, axis=0)
@@ -84,13 +92,22 @@ class TexelSamples:
         if not enough.any():
             return self, np.arange(self.count)
         chosen = np.flatnonzero(kept & enough[self.owner])
-        samples = replace(
+        return self.at(chosen), chosen
+
+    def thinned(self, texels: int) -> TexelSamples:
+        """Return the samples of about ``texels`` texels, evenly distributed, or of all."""
+        step = -(-self.texels // texels)
+        return self if step == 1 else self.at(np.flatnonzero(self.owner % step == 0))
+
+    def at(self, chosen: np.ndarray) -> TexelSamples:
+        """Return the samples with ascending indices ``chosen``, and their texels."""
+        texels, owner = np.unique(self.owner[chosen], return_inverse=True)
+        return replace(
             self,
-            surface=self.surface.at(to_drjit(mi.UInt32, np.flatnonzero(enough).astype(np.uint32))),
-            owner=(np.cumsum(enough) - 1)[self.owner[chosen]],
+            surface=self.surface.at(to_drjit(mi.UInt32, texels.astype(np.uint32))),
+            owner=owner,
             **{name: getattr(self, name)[chosen] for name in OF_SAMPLES},
         )
-        return samples, chosen
 
     def without_views(self, views: np.ndarray) -> TexelSamples:
         """Return the samples with weight 0 in flagged views (V,)."""

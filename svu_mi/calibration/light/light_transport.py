@@ -67,14 +67,6 @@ class Columns(NamedTuple):
         return Columns(*(part[samples] for part in self))
 
 
-class _CellReflection(NamedTuple):
-    """Reflection of one cell: diffuse (a + roughness b), Fresnel factors of p, q, d, and lobes."""
-
-    diffuse: tuple[Any, Any]
-    fresnel: tuple[Any, Any, Any]
-    lobes: list[Any]
-
-
 @dataclass(frozen=True)
 class Transport:
     """Samples, and N cells of distant light.
@@ -136,23 +128,24 @@ class Transport:
         rows = [dr.gather(mi.Vector3f, self.frames, 3 * view + k) for k in range(3)]
         return mi.Vector3f(*(dr.dot(row, local) for row in rows))
 
-    def _reflected(self, lane: Any, cell: Any, widths: list[Any]) -> _CellReflection:
-        """Return the reflection of one cell of unit radiance, with lobes of given widths."""
-        texel, view, direction, cosine = (dr.gather(type(x), x, lane) for x in self.lanes)
-        normal = self.samples.surface.at(texel).normal
-        toward = self._toward(cell, view)
-        incident = dr.dot(normal, toward)
+    def _seen(self, lane: Any, cell: Any) -> tuple[Any, Any, Any]:
+        """Return normal, direction of a cell and whether the cell is visible above the horizon."""
+        texel, view = (dr.gather(mi.UInt32, x, lane) for x in self.lanes[:2])
+        normal, toward = self.samples.surface.at(texel).normal, self._toward(cell, view)
         place = (lane if self.moves else texel) * self.count + cell
-        free = dr.gather(mi.Bool, self.free, place) & (incident > 0)
-        solid = dr.select(free, 4 * dr.pi / mi.Float(self.count), 0)
-        incident = dr.maximum(incident, GRAZING)
+        return normal, toward, dr.gather(mi.Bool, self.free, place) & (dr.dot(normal, toward) > 0)
+
+    def _reflected(self, lane: Any, normal: Any, toward: Any, widths: list[Any]) -> tuple[Any, ...]:
+        """Return the reflection of a visible cell of unit radiance: diffuse (a + roughness b),
+        Fresnel factors of p, q, d, and lobes of given widths."""
+        direction, cosine = (dr.gather(type(x), x, lane) for x in self.lanes[2:])
+        solid = 4 * dr.pi / mi.Float(self.count)
+        incident = dr.maximum(dr.dot(normal, toward), GRAZING)
         received = solid * incident
         grazing = received * (1 - incident) ** 5
         moments = [received, *(received * toward), grazing, *(grazing * toward)]
-        # Opposite directions have no half vector; occluded cells do not need it.
-        lit = dr.select(free, toward, direction)
-        half = dr.normalize(lit + direction)
-        across, up = dr.maximum(dr.dot(lit, half), GRAZING), dr.dot(normal, half)
+        half = dr.normalize(toward + direction)
+        across, up = dr.maximum(dr.dot(toward, half), GRAZING), dr.dot(normal, half)
         # A disk of the solid angle of a cell has the squared radius 4 / N. The half vector turns by
         # half the angle, and by more across the plane of incidence.
         spread = 0.5 * (1 + dr.rcp(across * across))
@@ -160,12 +153,10 @@ class Transport:
         wide = [dr.sqrt(dr.fma(alpha, alpha, cell_width)) for alpha in widths]
         lobes = blurred_ggx(up, incident, wide, mi.Float(0))
         scale, schlick = solid * dr.rcp(4 * cosine), (1 - across) ** 5
-        return _CellReflection(
-            diffuse_shading("disney", moments, direction, cosine),
-            (1 - schlick, schlick, dielectric_fresnel(across)),
-            [scale * smith_g1(cosine, alpha) * lobe
-             for alpha, lobe in zip(widths, lobes, strict=True)],
-        )  # fmt: skip
+        diffuse = diffuse_shading("disney", moments, direction, cosine)
+        of_widths = zip(widths, lobes, strict=True)
+        lobes = [scale * smith_g1(cosine, alpha) * lobe for alpha, lobe in of_widths]
+        return diffuse, (1 - schlick, schlick, dielectric_fresnel(across)), lobes
 
     def columns(self, light: np.ndarray, roughness: np.ndarray) -> Columns:
         """Return the columns at roughness (K,) or (n, K) under light (N, 3)."""
@@ -179,17 +170,22 @@ class Transport:
         for k in range(size):
             sums[k] = dr.zeros(mi.Float, self.samples.count)
 
-        def add(cell: Any, sums: Any) -> tuple[Any, Any]:
-            diffuse, fresnel, lobes = self._reflected(lane, cell, widths)
+        def add(cell: Any, normal: Any, toward: Any, sums: Any) -> tuple[Any]:
+            diffuse, fresnel, lobes = self._reflected(lane, normal, toward, widths)
             of_cell = list(dr.gather(mi.Vector3f, flux, cell))
             for k, (part, value) in enumerate(product(diffuse, of_cell)):
                 sums[k] = dr.fma(part, value, sums[k])
             parts = [f * value for f, value in product(fresnel, of_cell)]
             for k, (lobe, part) in enumerate(product(lobes, parts)):
                 sums[6 + k] = dr.fma(lobe, part, sums[6 + k])
-            return cell + 1, sums
+            return (sums,)
 
-        (sums,) = fold(mi.UInt32(0), self.count, add, sums)
+        def add_visible(cell: Any, sums: Any) -> tuple[Any, Any]:
+            normal, toward, seen = self._seen(lane, cell)
+            args = cell, normal, toward, sums
+            return cell + 1, *dr.if_stmt(args, seen, add, lambda *args: args[-1:])
+
+        (sums,) = fold(mi.UInt32(0), self.count, add_visible, sums)
         values = [sums[k] for k in range(size)]
         dr.eval(values)
         table = np.stack([np.array(x, np.float64) for x in values])
@@ -199,30 +195,35 @@ class Transport:
         e = a + r * b
         return Columns(*(np.moveaxis(x, -1, 0) for x in (e, *np.moveaxis(specular, 1, 0))))
 
-    def matrix(self, materials: Materials, spare: int = 0) -> np.ndarray:
-        """Return K of ``r = K L`` per channel, (3, S, N + spare) float32, 0 in spare columns."""
+    def matrix(
+        self, materials: Materials, light: np.ndarray, weight: np.ndarray, chosen: slice
+    ) -> list[np.ndarray]:
+        """Return K of ``r = K L`` per channel for ``chosen`` samples, (N, s) float32 each, times
+        ``light`` (N, 3) and ``weight`` (S,)."""
         values = [materials.roughness, *materials.mixed.T, *materials.color.T]
         of_texels = [to_drjit(mi.Float, value.astype(np.float32)) for value in values]
-        rows = np.zeros((3, self.samples.count, self.number + spare), np.float32)
-        step = max(LANES // self.number, 1)
-        for begin in range(0, self.samples.count, step):
-            block = rows[:, begin : begin + step, : self.number]
-            channels = self._rows(of_texels, begin, block.shape[1])
-            block[:] = np.reshape([channel.numpy() for channel in channels], block.shape)
-        return rows
+        weights = to_drjit(mi.Float, weight.astype(np.float32))
+        flux = to_drjit(mi.Float, light.astype(np.float32).ravel())
+        count, begin = (dr.opaque(mi.UInt32, x) for x in (chosen.stop - chosen.start, chosen.start))
+        # Lanes of a packet share a cell and mostly a texel, so that they skip occluded cells.
+        lanes = dr.arange(mi.UInt32, (chosen.stop - chosen.start) * self.number)
+        lane, cell = lanes % count + begin, lanes // count
 
-    def _rows(self, of_texels: list[Any], begin: int, count: int) -> list[Any]:
-        """Return ``count`` rows of K per channel, from sample ``begin``."""
-        lanes = dr.arange(mi.UInt32, count * self.number)
-        lane, cell = lanes // self.count + dr.opaque(mi.UInt32, begin), lanes % self.count
-        texel = dr.gather(mi.UInt32, self.lanes[0], lane)
-        r, *mixed = (dr.gather(mi.Float, values, texel) for values in of_texels)
-        mixing, color = mixture(*mixed[:-3]), mixed[-3:]
-        (a, b), fresnel, (lobe,) = self._reflected(lane, cell, [alpha_from_roughness(r)])
-        parts = columns(dr.fma(r, b, a), *(lobe * part for part in fresnel))
-        channels = [dot(mixing.at(c), parts) for c in color]
+        def reflected(lane: Any, cell: Any, normal: Any, toward: Any) -> list[Any]:
+            texel = dr.gather(mi.UInt32, self.lanes[0], lane)
+            r, *mixed = (dr.gather(mi.Float, values, texel) for values in of_texels)
+            mixing, color = mixture(*mixed[:-3]), mixed[-3:]
+            width = alpha_from_roughness(r)
+            (a, b), fresnel, (lobe,) = self._reflected(lane, normal, toward, [width])
+            parts = columns(dr.fma(r, b, a), *(lobe * part for part in fresnel))
+            scale = dr.gather(mi.Float, weights, lane) * dr.gather(mi.Vector3f, flux, cell)
+            return [x * dot(mixing.at(c), parts) for x, c in zip(scale, color, strict=True)]
+
+        normal, toward, seen = self._seen(lane, cell)
+        args = lane, cell, normal, toward
+        channels = dr.if_stmt(args, seen, reflected, lambda *_: [mi.Float(0) for _ in range(3)])
         dr.eval(channels)
-        return channels
+        return [channel.numpy().reshape(self.number, -1) for channel in channels]
 
 
 def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
@@ -294,11 +295,6 @@ def materials_of(posterior: Posterior[CalibratedKernel]) -> Materials:
 
     mixed = np.stack([mean(name) for name in MIXED], axis=1)
     return Materials(mean("roughness"), mixed, mean("base_color"))
-
-
-def misfit_of(posterior: Posterior[CalibratedKernel], unit: float) -> float:
-    """Return the median noise of the texels, relative to radiance ``unit``."""
-    return float(np.median(posterior.kernel.noise)) / unit
 
 
 def annealed(switches: AngularPreset, factor: float) -> AngularPreset:

@@ -12,6 +12,7 @@ Details have the normal distribution of the normal equations (Laplace approximat
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import log
 from statistics import NormalDist
 from typing import NamedTuple
@@ -45,6 +46,7 @@ MOST_TINTED = 0.5  # largest log factor of a channel relative to the mean
 FEWEST_DIELECTRIC = 0.2  # dielectric fraction of the surface that determines the level
 LOOSE = 0.5  # standard deviation of the log level with less
 UNKNOWN = 0.25  # median fraction of removed prior variance, below which a remark is made
+WIDENING_TEXELS = 300  # texels that the widening is measured on
 MOST_WIDENED = 1e4  # textures carry no information
 
 # Negative log probability of noise: SHARPNESS log(noise / least).
@@ -167,10 +169,10 @@ def sample_lights(fit: LightFit, count: int, seed: int = 0) -> LightSamples:
     """Draw ``count`` lights from the normal distribution of the normal equations."""
     number, root = len(fit.x), np.linalg.cholesky(fit.system.matrix)
     every = len(root)  # gains follow the cells of each channel
-    inverse = scipy.linalg.solve_triangular(root, np.eye(every), lower=True, check_finite=False)
+    solve = partial(scipy.linalg.solve_triangular, root, lower=True, check_finite=False)
     noise = np.random.default_rng(seed).standard_normal((every, count))
-    free = (inverse.T @ noise).T.reshape(count, 3, -1)[..., :number].transpose(0, 2, 1)
-    mean = inverse.reshape(every, 3, -1)[..., :number].mean(axis=1)
+    free = solve(noise, trans="T").T.reshape(count, 3, -1)[..., :number].transpose(0, 2, 1)
+    mean = solve(np.tile(np.eye(every // 3, number) / 3, (3, 1)))  # over channels
     light = np.exp(fit.x).mean(axis=1)
     mean -= (mean @ light / light.sum())[:, None]  # the level has its own distribution
     draws = fit.x + free
@@ -192,24 +194,25 @@ def remarks_of(level: LightScale, cell_sd: np.ndarray) -> tuple[str, ...]:
 
 
 def widening_of(
-    transport: Transport, columns: Columns, draws: np.ndarray, level: LightScale,
+    transport: Transport, x: np.ndarray, draws: np.ndarray, level: LightScale,
     switches: AngularPreset,
 ) -> float:  # fmt: skip
     """Return the ratio of texture variances with and without uncertainty of the light.
 
-    The variance of the posterior means under K sampled lights, (K, N, 3) logarithms, adds to the
+    The variance of the posterior means under K sampled lights, (K, N, 3) logarithms like the
+    estimated light ``x`` (N, 3), adds to the
     posterior variance. Base colours are first multiplied by the sampled scale of their light.
     """
-    samples, parts = transport.samples, []
-    own = SampleMoments.of(samples, columns).posterior(switches, np.exp(level.best))
+    samples, parts = transport.samples.thinned(WIDENING_TEXELS), []
+    few = Transport.of(samples, transport.number, transport.moves)
     # One level per light, at evenly spaced quantiles.
     quantiles = (np.arange(len(draws)) + 0.5) / len(draws)
     factors = np.exp([level.common * NormalDist().inv_cdf(float(q)) for q in quantiles])
-    others = [
-        SampleMoments.of(samples, columns_of(transport, np.exp(x), switches)).posterior(
+    own, *others = [
+        SampleMoments.of(samples, columns_of(few, np.exp(light), switches)).posterior(
             switches, factor * np.exp(level.best)
         )
-        for x, factor in zip(draws, factors, strict=True)
+        for light, factor in zip((x, *draws), (1.0, *factors), strict=True)
     ]
     for name in NAMES:
         within = np.square(np.array(own.sd(name)), dtype=np.float64).mean()
