@@ -158,17 +158,22 @@ def _knn_means(
     """Return weighted means of nearest neighbours, and a mask of queries with a match."""
     count, parts = min(rule.nearest, len(known.texels)), []
     for points in places:
-        distance, index = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
-        has_match = distance[:, 0] < rule.farthest
+        found = np.ones(len(points), bool)
+        if rule.farthest < np.inf:  # few have a match; a bounded search is fast
+            nearest, _ = tree.query(points, distance_upper_bound=rule.farthest, workers=-1)
+            found = np.isfinite(nearest)
+        both = tree.query(points[found], count, workers=-1)
+        distance, index = (x.reshape(-1, count) for x in both)
         usable = distance < (PIECE_DISTANCE / 2 if rule.inside else np.inf)
         reach = np.where(usable, distance, 0).max(axis=1, keepdims=True)
         scale = np.maximum(rule.bandwidth * reach, 1e-9)
-        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * has_match[:, None] * usable
+        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * usable
         weighted = known.weights[:, index] * near
-        sums = (weighted * known.values[:, index]).sum(axis=2), weighted.sum(axis=2)
-        parts.append((*sums, has_match))
-    total, weight, matches = (sum(part) for part in zip(*parts, strict=True))
-    return total / np.maximum(weight, 1e-30), matches > 0
+        sums = np.zeros((2, len(known.values), len(points)))
+        sums[:, :, found] = (weighted * known.values[:, index]).sum(axis=2), weighted.sum(axis=2)
+        parts.append(sums)
+    total, weight = sum(parts)
+    return total / np.maximum(weight, 1e-30), weight[0] > 0
 
 
 def _radial(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:

@@ -66,7 +66,7 @@ def normalized_points(points: np.ndarray) -> np.ndarray:
     return np.asarray((points - (low + high) / 2) / extent)
 
 
-MOST_TEXELS = 2**16  # limit for cross-validation, which uses groups of more texels
+MOST_TEXELS = 2**14  # limit for cross-validation, which uses groups of more texels
 
 
 @dataclass(frozen=True)
