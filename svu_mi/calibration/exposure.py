@@ -16,13 +16,12 @@ from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import (
     COOLING,
     HEAT,
-    Columns,
     SampleMoments,
     Transport,
     annealed,
     columns_of,
 )
-from svu_mi.calibration.light.light_uncertainty import LightScale, scale_of
+from svu_mi.calibration.light.light_uncertainty import scale_of
 from svu_mi.capture.capture import Capture, LightUncertainty
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
@@ -79,7 +78,8 @@ def estimate_gains(
     with progress.stage("Estimating gains", ROUNDS) as stage:
         light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
-        columns, level = _columns_and_level(everything, light, switches)
+        columns = columns_of(everything, light, switches)
+        level = scale_of(samples, columns, switches)
         heat = HEAT
         if (np.abs(level.best) > NINETY * level.sd).any():  # the units probably differ
             light = light * np.exp(level.best)
@@ -96,14 +96,6 @@ def estimate_gains(
     return gains
 
 
-def _columns_and_level(
-    transport: Transport, light: np.ndarray, switches: AngularPreset
-) -> tuple[Columns, LightScale]:
-    """Return the columns of all samples, and the scale of their brightness relative to a light."""
-    columns = columns_of(transport, light, switches)
-    return columns, scale_of(transport.samples, columns, switches)
-
-
 def with_common_gain(
     capture: Capture, texels: Texels, options: LightOptions, progress: Progress
 ) -> tuple[Capture, np.ndarray, np.ndarray]:
@@ -118,7 +110,8 @@ def with_common_gain(
     with progress.stage("Comparing photographs with the light"):
         samples = TexelSamples.of(observed, switches, options.texels, options.known)
         light = cell_radiance(observed.lighting.environment, CELLS)
-        _, level = _columns_and_level(Transport.of(samples, CELLS), light, switches)
+        columns = columns_of(Transport.of(samples, CELLS), light, switches)
+        level = scale_of(samples, columns, switches)
     views, wide = sum(capture.used), NINETY * level.sd
     gains = FoundGains(np.tile(level.best, (views, 1)), np.zeros(views), np.zeros(views, bool))
     uncertainty = LightUncertainty(scale=tuple(map(float, level.sd)))

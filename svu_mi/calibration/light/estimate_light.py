@@ -124,10 +124,10 @@ def _estimate(
         def report() -> None:
             stage.update(next(done), total)
 
-        few = {m: replace(p, samples=p.samples.thinned(FEWEST)) for m, p in problems.items()}
+        few = FEWEST if finer else options.texels
         coarse = {
-            m: problem.solve((first,), None, report)
-            for m, problem in (few if finer else problems).items()
+            m: replace(problem, samples=problem.samples.thinned(few)).solve((first,), None, report)
+            for m, problem in problems.items()
         }
         still, moving = (coarse[m].misfit if m in coarse else np.nan for m in (False, True))
         moves = next(iter(problems)) if len(problems) == 1 else moving < MOVED * still
@@ -169,10 +169,8 @@ class LightProblem:
         for number, rounds in depths:
             seen = None if self.looks is None else self.looks.at(number)
             priors = LightPriors(prior_of(number), seen)
-            few, whole = (
-                Transport.of(samples, number, self.moves)
-                for samples in (self.samples.thinned(FEW), self.samples)
-            )
+            few = Transport.of(self.samples.thinned(FEW), number, self.moves)
+            whole = Transport.of(self.samples, number, self.moves)
             # The level of initial light, whose shape is wrong, stays unconstrained.
             leveled = start is not None and seen is None
             if fit is None:  # constant light with the mean colour of the photographs

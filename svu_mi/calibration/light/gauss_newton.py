@@ -124,9 +124,11 @@ def normal_equations(
     for texels, chosen in samples.blocks(LANES // transport.number):
         J_of = [] if priors is None else transport.matrix(materials, light, root, chosen)
         if gains is not None:
-            of_gains = _of_gains(root[:, None] * predicted, samples.view, len(gains), chosen)
-            pairs = zip(J_of, of_gains, strict=True)
-            J_of = [np.concatenate(pair) for pair in pairs] if J_of else of_gains
+            of_gains = np.zeros((3, len(gains), chosen.stop - chosen.start), np.float32)
+            place = samples.view[chosen], np.arange(of_gains.shape[2])
+            of_gains[:, *place] = root[chosen] * predicted[chosen].T
+            pairs = zip(J_of or of_gains[:, :0], of_gains, strict=True)
+            J_of = [np.concatenate(pair) for pair in pairs]
         bounds = np.append(samples.first, samples.count)[texels.start : texels.stop + 1]
         for c, J in enumerate(J_of):
             matrix[channels[c], channels[c]] += J @ J.T
@@ -138,15 +140,6 @@ def normal_equations(
     matrix -= eliminated.T @ eliminated
     pulled = np.einsum("tmk,tk->tm", inverse, pull).ravel().astype(np.float32)
     return NormalEquations(matrix, gradient.ravel() + pulled @ eliminated, predicted)
-
-
-def _of_gains(
-    predicted: np.ndarray, view: np.ndarray, views: int, chosen: slice
-) -> list[np.ndarray]:
-    """Return derivatives of ``chosen`` weighted samples by log gains, (V, s) float32 each."""
-    J = np.zeros((3, views, chosen.stop - chosen.start), np.float32)
-    J[:, view[chosen], np.arange(J.shape[2])] = predicted[chosen].T
-    return list(J)
 
 
 def _with_gains(
