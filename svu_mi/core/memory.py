@@ -97,7 +97,8 @@ NODE = 80  # bytes per further pixel of a larger map, which is averaged
 KEPT_NODES = 2048 * 1025
 # Bytes of an estimate of the light: per sample; per sample and cell; per texel and cell; and per
 # two cells, for equations while they are made, and for their inverse.
-SAMPLE, PAIR, OF_TEXEL, EQUATIONS, INVERSE = 2300, 13, 60, 180, 290
+SAMPLE, PAIR, OF_TEXEL, EQUATIONS, INVERSE = 2300, 45, 60, 180, 290
+PAIRS = 2**22  # pairs of samples and cells at a time
 # Advice by command; for the others it is ``svu import --shrink``, and ``--resolution``.
 FEWER_PIXELS = {
     "render": "rendering at most {} pixels per film",
@@ -262,7 +263,7 @@ def light_bytes(size: Size) -> float:
 
 def search_bytes(samples: int, texels: int, cells: int) -> float:
     """Return the bytes for the estimate of a light; a texel costs as much as four samples."""
-    matrices = PAIR * samples * cells + OF_TEXEL * texels * cells + EQUATIONS * cells**2
+    matrices = PAIR * min(samples * cells, PAIRS) + OF_TEXEL * texels * cells + EQUATIONS * cells**2
     return SAMPLE * (samples + 4 * texels) + max(matrices, INVERSE * cells**2)
 
 
