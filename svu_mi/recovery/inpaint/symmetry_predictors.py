@@ -172,7 +172,7 @@ def _knn_means(
         sums = np.zeros((2, len(known.values), len(points)))
         sums[:, :, found] = (weighted * known.values[:, index]).sum(axis=2), weighted.sum(axis=2)
         parts.append(sums)
-    total, weight = sum(parts)
+    total, weight = np.sum(parts, axis=0)
     return total / np.maximum(weight, 1e-30), weight[0] > 0
 
 
