@@ -95,9 +95,9 @@ class TexelSamples:
         return self.at(chosen), chosen
 
     def thinned(self, texels: int) -> TexelSamples:
-        """Return the samples of about ``texels`` texels, evenly distributed, or of all."""
-        step = -(-self.texels // texels)
-        return self if step == 1 else self.at(np.flatnonzero(self.owner % step == 0))
+        """Return the samples of at least ``texels`` texels, evenly distributed, or of all."""
+        step = self.texels // texels
+        return self if step <= 1 else self.at(np.flatnonzero(self.owner % step == 0))
 
     def at(self, chosen: np.ndarray) -> TexelSamples:
         """Return the samples with ascending indices ``chosen``, and their texels."""
