@@ -127,8 +127,7 @@ def normal_equations(
             of_gains = np.zeros((3, len(gains), chosen.stop - chosen.start), np.float32)
             place = samples.view[chosen], np.arange(of_gains.shape[2])
             of_gains[:, *place] = root[chosen] * predicted[chosen].T
-            pairs = zip(J_of or of_gains[:, :0], of_gains, strict=True)
-            J_of = [np.concatenate(pair) for pair in pairs]
+            J_of = [np.concatenate(x) for x in zip(J_of or of_gains[:, :0], of_gains, strict=True)]
         bounds = np.append(samples.first, samples.count)[texels.start : texels.stop + 1]
         for c, J in enumerate(J_of):
             matrix[channels[c], channels[c]] += J @ J.T

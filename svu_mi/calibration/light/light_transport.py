@@ -182,8 +182,7 @@ class Transport:
 
         def add_visible(cell: Any, sums: Any) -> tuple[Any, Any]:
             normal, toward, seen = self._seen(lane, cell)
-            args = cell, normal, toward, sums
-            return cell + 1, *dr.if_stmt(args, seen, add, lambda *args: args[-1:])
+            return cell + 1, *dr.if_stmt((cell, normal, toward, sums), seen, add, lambda *x: x[-1:])
 
         (sums,) = fold(mi.UInt32(0), self.count, add_visible, sums)
         values = [sums[k] for k in range(size)]
