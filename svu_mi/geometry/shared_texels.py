@@ -1,7 +1,5 @@
 """Texels that are so near to each other that they share rays to distant light."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svu_mi.geometry.texels import Texels

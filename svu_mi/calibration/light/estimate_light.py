@@ -8,8 +8,6 @@ their prior (``light_prior``).
 The likelihood is annealed, as materials are unknown under the initial constant light.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
@@ -113,7 +111,7 @@ def estimate_light(
 
 
 def _estimate(
-    problems: dict[bool, LightProblem], options: LightOptions, progress: Progress
+    problems: "dict[bool, LightProblem]", options: LightOptions, progress: Progress
 ) -> tuple[LightFit, tuple[float, float]]:
     """Return the better of fixed and moving light, and the misfits of both."""
     first, *finer = options.depths

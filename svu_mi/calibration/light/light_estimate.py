@@ -1,7 +1,5 @@
 """Light and exposure gains estimated from photographs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -149,7 +147,7 @@ class LightEstimate:
         """Return at most ``count`` posterior samples as maps, (K, 129, 256, 3) float32."""
         return np.stack([self._map(x) for x in self.draws[:count]])
 
-    def scaled(self, factor: np.ndarray | float) -> LightEstimate:
+    def scaled(self, factor: np.ndarray | float) -> "LightEstimate":
         """Return the light times a known factor; a scalar leaves its tint uncertain."""
         added, sd = np.broadcast_to(np.log(factor), 3), self.tint_sd * (np.ndim(factor) == 0)
         return replace(

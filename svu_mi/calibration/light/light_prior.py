@@ -10,8 +10,6 @@ with k(t) = exp(-t^2 / 2). The colours v have the same covariance with smaller a
 amplitudes were fitted to the lights included in svu_mi.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -120,7 +118,7 @@ class BackgroundPixels:
         return SeenCells((count > 0) / BACKGROUND_SD**2, np.where(count[:, None] > 0, logarithm, 0))
 
     @staticmethod
-    def of(capture: Capture, *, moves: bool = False) -> BackgroundPixels:
+    def of(capture: Capture, *, moves: bool = False) -> "BackgroundPixels":
         """Sample pixels outside all shapes; ``moves``: the light moves with the cameras."""
         used = [k for k in range(capture.count) if capture.used[k]]
         pixels = [_grid(capture, k) for k in used]

@@ -5,8 +5,6 @@ reflection model (``reflection/wide_lobes.py``, ``mix_columns.py``) and traced v
 narrower than the cells are widened to their size, so that they do not miss light.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -62,7 +60,7 @@ class Columns(NamedTuple):
         """Return the mixed columns at a roughness level, (S, 3) each."""
         return columns(*(part[:, level] for part in self))
 
-    def subset(self, samples: np.ndarray) -> Columns:
+    def subset(self, samples: np.ndarray) -> "Columns":
         """Return the columns of selected samples."""
         return Columns(*(part[samples] for part in self))
 
@@ -92,7 +90,7 @@ class Transport:
     count: Any
 
     @staticmethod
-    def of(samples: TexelSamples, number: int, moves: bool = False) -> Transport:
+    def of(samples: TexelSamples, number: int, moves: bool = False) -> "Transport":
         """Trace the visibility of N cells from the texels."""
         cameras = samples.cameras
         turned = cameras if moves else np.broadcast_to(np.eye(3), cameras.shape)
@@ -242,7 +240,7 @@ class SampleMoments:
     table: np.ndarray
 
     @staticmethod
-    def of(samples: TexelSamples, columns: Columns) -> SampleMoments:
+    def of(samples: TexelSamples, columns: Columns) -> "SampleMoments":
         """Sum products over samples; ``columns``: result of ``columns_of``."""
         observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), columns.e.shape)
         parts, weight = (*columns, observed), samples.weight[:, None, None]
