@@ -1,7 +1,7 @@
 """The object's material: constant parameters, and its replacement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -62,6 +62,17 @@ def replace_material(capture: Capture, material: Any, mesh: Any = None) -> Repai
     shape = make_mesh(capture.shape.id(), arrays(surface))
     shape.set_bsdf(material)
     return RepaintedScene(scene=scene_around(shape, capture), shape=shape)
+
+
+def with_normals(capture: Capture, pixels: np.ndarray) -> Capture:
+    """Return the capture with another normal map of the object, (H, W, 3) in [0, 1]."""
+    old = capture.shape.bsdf()
+    texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.ascontiguousarray(pixels))}
+    made = {"type": "normalmap", "normalmap": texture, "material": layers(old)[-1]}
+    made = {"type": "twosided", "material": made} if is_two_sided(old) else made
+    shape = make_mesh(capture.shape.id(), arrays(capture.mesh))
+    shape.set_bsdf(mi.load_dict(made))
+    return replace(capture, shape=shape, mesh=shape, scene=scene_around(shape, capture))
 
 
 def scene_around(shape: Any, capture: Capture) -> Any:

@@ -14,7 +14,7 @@ from svu_mi.capture.content_hash import capture_key, mesh_key
 from svu_mi.capture.image_io import decoded, open_image
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.normal_map import normal_map
-from svu_mi.capture.replace_material import is_same, is_two_sided, other_shapes
+from svu_mi.capture.replace_material import is_same, is_two_sided, other_shapes, with_normals
 from svu_mi.capture.surroundings import path_length
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.files import prepare_folder
@@ -153,7 +153,8 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
 def require_textures_of(capture: Capture, folder: str | Path) -> Capture:
     """Raise an error if ``run.json`` shows that textures belong to another mesh.
 
-    Textures from another capture of the same mesh cause a warning, which the returned capture has.
+    The returned capture has the normals of the folder, if ``svu recover --normals`` refined them,
+    and a warning if the textures come from another capture of the same mesh.
     """
     folder = Path(folder)
     run, key = marks_of(folder / FILES["base_color"])
@@ -165,6 +166,10 @@ def require_textures_of(capture: Capture, folder: str | Path) -> Capture:
             "folder that svu recover wrote for this capture."
         )
     if key and key != capture_key(capture):
+        if (folder / NORMALS).is_file():
+            refined = with_normals(capture, _read_exr_texture(folder / NORMALS, 3))
+            if key == capture_key(refined):
+                return refined
         return capture.warned(
             f"{folder}: these textures come from another capture than {label}; their values are "
             "used as they are."

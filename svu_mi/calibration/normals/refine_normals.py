@@ -5,7 +5,7 @@ whose width is that of the tilts themselves (the EM algorithm): normals stay whe
 that they are off.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
@@ -16,8 +16,7 @@ from svu_mi.calibration.normals import tilt_equations as eq
 from svu_mi.calibration.normals.tilt_equations import tangents, tilted, vectors
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, make_mesh
-from svu_mi.capture.normal_map import layers
-from svu_mi.capture.replace_material import is_two_sided, scene_around
+from svu_mi.capture.replace_material import with_normals
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.core.progress import Progress
 from svu_mi.geometry.mapped_normals import tangent_frame
@@ -65,15 +64,14 @@ def refine_normals(capture: Capture, size: tuple[int, int], progress: Progress) 
             tilts, covariance, width = _step(equations, field, tilts, width)
             current = tilted(grid, _tangential(field, grid, tilts))
             stage.update(number + 1, ROUNDS)
-    shape = make_mesh(capture.shape.id(), arrays(capture.mesh))
-    bare, found = texels(shape, size), tilted(fine, _tangential(fine_field, fine, tilts))
+    bare = texels(make_mesh(capture.shape.id(), arrays(capture.mesh)), size)
+    found = tilted(fine, _tangential(fine_field, fine, tilts))
     local = tangent_frame(bare.normal, bare.sides[0]).to_local(mi.Vector3f(found.normal))
     image = filled_image(fine, (vectors(local) + 1) / 2).astype(np.float32)
     root = np.linalg.cholesky(covariance)
     variance = sum(np.square(along @ root).sum(axis=1) for along in fine_field)
     sd = filled_image(fine, np.degrees(np.sqrt(variance))[:, None])[..., 0]
-    shape.set_bsdf(_tilted_material(capture.shape.bsdf(), image))
-    made = replace(capture, shape=shape, mesh=shape, scene=scene_around(shape, capture))
+    made = with_normals(capture, image)
     with progress.stage("Predicting held-out photographs"):
         results = [estimate(one, texels(one.mesh, SIDE)).prediction for one in (capture, made)]
         before, after = (np.nan if one is None else one.r2 for one in results)
@@ -126,10 +124,3 @@ def _step(
         tilts = covariance @ right
         width = np.sqrt((tilts**2 + np.diag(covariance)).mean())
     return tilts, covariance, width
-
-
-def _tilted_material(old: Any, pixels: np.ndarray) -> Any:
-    """Return a material with another normal map, (H, W, 3)."""
-    texture = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.ascontiguousarray(pixels))}
-    made = {"type": "normalmap", "normalmap": texture, "material": layers(old)[-1]}
-    return mi.load_dict({"type": "twosided", "material": made} if is_two_sided(old) else made)
