@@ -8,8 +8,8 @@ TURN = 0.03  # largest angle between normals [rad], half the radius of a fine li
 STEP = 0.004  # largest distance, relative to the mesh's extent
 
 
-def shared_texels(texels: Texels) -> np.ndarray:
-    """Return the texel whose rays each texel shares, (T,) int64.
+def shared_texels(texels: Texels, chosen: np.ndarray) -> np.ndarray:
+    """Return the texel whose rays each of t ``chosen`` texels shares, (t,) int64.
 
     It is the first of a block of 2 x 2, except for texels with a shading or face normal that is
     turned by more than ``TURN`` from the first, or farther than ``STEP`` from it. These share the
@@ -19,8 +19,11 @@ def shared_texels(texels: Texels) -> np.ndarray:
     """
     width, index = texels.resolution[0], texels.index.numpy().astype(np.int64)
     block = index // width // 2 * width + index % width // 2
-    turned = np.concatenate([texels.normal.numpy(), texels.geometric_normal.numpy()]) / TURN
-    moved = texels.position.numpy() / (STEP * texels.extent)
+    near = np.flatnonzero(np.isin(block, block[chosen]))  # whole blocks: chosen or not
+    block, lane = block[near], np.searchsorted(near, chosen)
+    # By component: to read a vector at once, Dr.Jit compiles a kernel for each number of texels.
+    turned = [x.numpy()[near] / TURN for x in (*texels.normal, *texels.geometric_normal)]
+    moved = [x.numpy()[near] / (STEP * texels.extent) for x in texels.position]
     owner = left = np.arange(len(block))
     for _ in range(2):
         starts = np.flatnonzero(np.diff(block[left], prepend=-1))
@@ -29,4 +32,4 @@ def shared_texels(texels: Texels) -> np.ndarray:
         owner = owner.copy()
         owner[left] = np.where(far, left, first)
         left = left[far]
-    return owner
+    return near[owner[lane]]

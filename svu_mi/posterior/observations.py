@@ -225,7 +225,7 @@ class Observed:
         """Return the visibility of ``cells`` fine light cells from S texels; cached."""
         key = (cells, occluded)
         if key not in self._rays:
-            tree, owners = self.light_tree(cells), shared_texels(self.texels)[self.seen]
+            tree, owners = self.light_tree(cells), shared_texels(self.texels, self.seen)
             traced, place = np.unique(owners, return_inverse=True)
             places = to_drjit(mi.UInt32, place.astype(np.uint32))
             self._rays[key] = self.cache.recall(

@@ -28,12 +28,15 @@ def folded():
 @pytest.mark.parametrize("columns", [510, 102])
 def test_near_texels_of_one_side_share_rays(columns):
     layout = texels(folded(), (columns, 10))
-    index, owner = layout.index.numpy().astype(int), shared_texels(layout)
+    every = np.arange(layout.count)
+    index, owner = layout.index.numpy().astype(int), shared_texels(layout, every)
     (x, y), (own_x, own_y) = ((i % columns, i // columns) for i in (index, index[owner]))
     # The fold is in the middle of a block, and texels may be 0.02 wide: these share in columns.
     apart = (x == columns // 2) | ((columns < 500) & (x % 2 == 1))
     np.testing.assert_array_equal(own_x, np.where(apart, x, x - x % 2))
     np.testing.assert_array_equal(own_y, y - y % 2)
+    some = every[7::13][::-1]
+    np.testing.assert_array_equal(shared_texels(layout, some), owner[some])
 
 
 def test_shared_rays_find_the_same_light():
@@ -43,7 +46,7 @@ def test_shared_rays_find_the_same_light():
     tree = build_light_tree(
         Environment(np.ones_like(directions(64, 33)), *disk, np.eye(3)), 128, 1024
     )
-    traced, place = np.unique(shared_texels(layout), return_inverse=True)
+    traced, place = np.unique(shared_texels(layout, np.arange(layout.count)), return_inverse=True)
     chosen, places = (to_drjit(mi.UInt32, x.astype(np.uint32)) for x in (traced, place))
     own = trace_light_visibility(scene, TexelLanes.of(layout), tree)
     some = trace_light_visibility(scene, TexelLanes.of(layout, chosen), tree, places)
