@@ -135,9 +135,6 @@ class Recover(LitCommand, ResultCommand):
         capture, texels = self.load_with_light(progress, need, size, self.known, again=self.resume)
         refined = refine_normals(capture, size, progress) if self.normals else None
         if refined is not None:
-            progress.say(refined.sentence)
-            refined = None if refined.capture is capture else refined  # normals are kept
-        if refined is not None:
             capture, texels = refined.capture, make_texels(refined.capture.mesh, size)
         _, initial = opt.read_recovered(self.initial, texels.resolution, one_run=False)
         seen = observe(capture, texels, progress)

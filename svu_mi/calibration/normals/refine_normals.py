@@ -35,21 +35,22 @@ class RefinedNormals:
     """Normals that were tilted so that the model agrees with the photographs.
 
     Attributes:
-        capture: the capture whose object has the normal map; as given if R^2 decreases.
+        capture: the capture whose object has the normal map.
         normals: (H, W, 3) float32 in [0, 1], as for Mitsuba's ``normalmap``.
         sd: (H, W) float32, standard deviation of the tilt [degrees].
-        sentence: rms of the tilt, and R^2 of held-out photographs before and after.
     """
 
     capture: Capture
     normals: np.ndarray
     sd: np.ndarray
-    sentence: str
 
 
-def refine_normals(capture: Capture, size: tuple[int, int], progress: Progress) -> RefinedNormals:
+def refine_normals(
+    capture: Capture, size: tuple[int, int], progress: Progress
+) -> RefinedNormals | None:
     """Tilt shading normals smoothly so that the model agrees with the photographs.
 
+    Return None if R^2 of held-out photographs decreases; ``progress`` says what was done.
     Errors that vary within about a tenth of the object are not found, nor those of rough surfaces.
     Visibility and curvature are those of the mesh. ``size`` (W, H) is that of the normal map.
     """
@@ -76,12 +77,12 @@ def refine_normals(capture: Capture, size: tuple[int, int], progress: Progress) 
         results = [estimate(one, texels(one.mesh, SIDE)).prediction for one in (capture, made)]
         before, after = (np.nan if one is None else one.r2 for one in results)
     angle = np.degrees(np.sqrt(sum(np.square(along @ tilts).mean() for along in field)))
-    verb, chosen = ("kept", capture) if after < before else ("tilted", made)
-    return RefinedNormals(
-        chosen, image, sd.astype(np.float32),
+    verb = "kept" if after < before else "tilted"
+    progress.say(
         f"Normals were {verb}: a tilt of {angle:.2g} degrees (rms) predicts held-out photographs "
-        f"with R^2 {after:.3f} instead of {before:.3f}.",
-    )  # fmt: skip
+        f"with R^2 {after:.3f} instead of {before:.3f}."
+    )
+    return RefinedNormals(made, image, sd.astype(np.float32)) if verb == "tilted" else None
 
 
 def _places(grid: Texels) -> np.ndarray:
