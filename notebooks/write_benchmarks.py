@@ -463,9 +463,6 @@ def short(records: dict[str, Record]) -> list[Row]:
         rows += [
             ["Time from 60 photographs of 512 x 512 to entropy.exr of 512 x 512 texels",
              seconds(way["warm"]["seconds"]["median"]), f"{brute} by path tracing"],
-            ["The same in a new process without compiled kernels",
-             seconds(way["cold"]["process_seconds"]), ""],
-            ["Peak memory of that process", f"{way['cold']['peak_mib']:.0f} MiB", ""],
         ]  # fmt: skip
     if "recovery" in records:
         found = [rows_of(records["recovery"], way.label) for way in (SH, PATH)]
@@ -474,14 +471,6 @@ def short(records: dict[str, Record]) -> list[Row]:
         rows.append(["Average PSNR of recovered textures; time",
                      f"{psnr[0]:.1f} dB; {time[0]}",
                      f"{psnr[1]:.1f} dB; {time[1]} by path tracing"])  # fmt: skip
-    if "sureness" in records:
-        held = [row["held"].values() for row in rows_of(records["sureness"], "textures")]
-        rows.append(["90 % intervals of recovered textures that contain the truth",
-                     both(mean(one) for one in held), ".90"])  # fmt: skip
-    if "light" in records:
-        found = [row["correlation"] for row in rows_of(records["light"], "found")]
-        rows.append(["Correlation of the estimated environment map with the true one",
-                     both(found), "1"])  # fmt: skip
     return rows
 
 
