@@ -29,9 +29,7 @@ STRANGE = 0.1  # agreement of views below which photographs may belong to other 
 # lights (16 photographs of 96 pixels, EXR and 8 bits), wrong orientations of correct captures gain
 # at most 0.034; the best orientation of wrongly imported EXR captures gains at least 0.9.
 LIGHT_IMPROVEMENT = 0.06
-# Least difference that makes it certain. On three objects under four lights, the best orientation
-# of the map of another light gains at most 0.53.
-LIGHT_CERTAIN = 0.6
+LIGHT_CERTAIN = 0.6  # then the map is of this light: on 3 objects, maps of 3 others gain < 0.54
 LIGHT_MARGIN = 0.03  # smaller score differences are ties
 LIGHT_RANGE = 0.2  # minimum range of the score over all orientations
 LEAST_CUE = 0.1  # minimum cue that supports an orientation

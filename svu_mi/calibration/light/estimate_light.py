@@ -167,8 +167,9 @@ class LightProblem:
         for number, rounds in depths:
             seen = None if self.looks is None else self.looks.at(number)
             priors = LightPriors(prior_of(number), seen)
-            few = Transport.of(self.samples.thinned(FEW), number, self.moves)
+            thinned = self.samples.thinned(FEW)
             whole = Transport.of(self.samples, number, self.moves)
+            few = whole if thinned is self.samples else Transport.of(thinned, number, self.moves)
             # The level of initial light, whose shape is wrong, stays unconstrained.
             leveled = start is not None and seen is None
             if fit is None:  # constant light with the mean colour of the photographs

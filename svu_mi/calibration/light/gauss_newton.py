@@ -120,21 +120,21 @@ def normal_equations(
     inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
     turned = np.einsum("s,scp,smp->csm", root, slopes, inverse[samples.owner]).astype(np.float32)
     eliminated = np.empty((*inverse.shape[:2], len(matrix)), np.float32)  # L^-1 H_(theta x)
-    weighted, channels = (root[:, None] * off).astype(np.float32), _channels(gradient.shape[1])
+    weighted, size = (root[:, None] * off).astype(np.float32), gradient.shape[1]
     for texels, chosen in samples.blocks(LANES // transport.number):
         J_of = [] if priors is None else transport.matrix(materials, light, root, chosen)
         if gains is not None:
-            of_gains = np.zeros((3, len(gains), chosen.stop - chosen.start), np.float32)
-            place = samples.view[chosen], np.arange(of_gains.shape[2])
-            of_gains[:, *place] = root[chosen] * predicted[chosen].T
+            shown = root[chosen] * predicted[chosen].T
+            of_gains = _gain_columns(samples.view[chosen], shown, len(gains))
             J_of = [np.concatenate(x) for x in zip(J_of or of_gains[:, :0], of_gains, strict=True)]
         bounds = np.append(samples.first, samples.count)[texels.start : texels.stop + 1]
         for c, J in enumerate(J_of):
-            matrix[channels[c], channels[c]] += J @ J.T
+            block = slice(c * size, (c + 1) * size)
+            matrix[block, block] += J @ J.T
             gradient[c] -= J @ weighted[chosen, c]
             for t, (begin, end) in enumerate(pairwise(bounds), texels.start):
                 at = slice(begin - chosen.start, end - chosen.start)
-                np.matmul(turned[c, begin:end].T, J[:, at].T, out=eliminated[t, :, channels[c]])
+                np.matmul(turned[c, begin:end].T, J[:, at].T, out=eliminated[t, :, block])
     eliminated = eliminated.reshape(-1, len(matrix))
     matrix -= eliminated.T @ eliminated
     pulled = np.einsum("tmk,tk->tm", inverse, pull).ravel().astype(np.float32)
@@ -155,9 +155,11 @@ def _with_gains(
     return whole.reshape(size, size), np.concatenate([gradient, own @ gains.T], axis=1)
 
 
-def _channels(number: int) -> list[slice]:
-    """Return slices of the M unknowns of each channel among all 3 M."""
-    return [slice(c * number, (c + 1) * number) for c in range(3)]
+def _gain_columns(view: np.ndarray, shown: np.ndarray, views: int) -> np.ndarray:
+    """Return derivatives (3, V, s) of radiance ``shown`` (3, s) by the log gains of V views."""
+    columns = np.zeros((3, views, len(view)), np.float32)
+    columns[:, view, np.arange(len(view))] = shown
+    return columns
 
 
 def _material_equations(

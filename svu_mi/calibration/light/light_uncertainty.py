@@ -199,9 +199,9 @@ def widening_of(
 ) -> float:  # fmt: skip
     """Return the ratio of texture variances with and without uncertainty of the light.
 
-    The variance of the posterior means under K sampled lights, (K, N, 3) logarithms like the
-    estimated light ``x`` (N, 3), adds to the
-    posterior variance. Base colours are first multiplied by the sampled scale of their light.
+    The variance of the posterior means under K sampled lights (K, N, 3) adds to the posterior
+    variance under the estimated light ``x`` (N, 3); both are logarithms. Base colours are first
+    multiplied by the sampled scale of their light.
     """
     samples, parts = transport.samples.thinned(WIDENING_TEXELS), []
     few = Transport.of(samples, transport.number, transport.moves)

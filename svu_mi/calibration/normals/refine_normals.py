@@ -1,8 +1,8 @@
 """Refinement of shading normals: a smooth field of tilts, by Gauss-Newton steps.
 
 Tilts are interpolated between control points on the surface. Their prior is a normal distribution,
-whose width is that of the tilts themselves (the EM algorithm): normals stay where nothing shows
-that they are off.
+whose width is estimated with the tilts (EM algorithm): normals stay where the photographs show no
+error.
 """
 
 from dataclasses import dataclass
@@ -50,9 +50,9 @@ def refine_normals(
 ) -> RefinedNormals | None:
     """Tilt shading normals smoothly so that the model agrees with the photographs.
 
-    Return None if R^2 of held-out photographs decreases; ``progress`` says what was done.
-    Errors that vary within about a tenth of the object are not found, nor those of rough surfaces.
-    Visibility and curvature are those of the mesh. ``size`` (W, H) is that of the normal map.
+    Return None if R^2 of held-out photographs decreases; a line of ``progress`` reports it. Neither
+    errors that vary within about a tenth of the object nor errors of rough surfaces are found.
+    Visibility and curvature stay. ``size`` (W, H) is the size of the normal map.
     """
     grid, fine = (texels(capture.mesh, each) for each in (SIDE, size))
     centers = _places(grid)[evenly_spaced(grid.count, CONTROLS)]

@@ -59,7 +59,7 @@ def tilt_equations(known: Estimate, grid: Texels) -> tuple[np.ndarray, np.ndarra
 
 
 def _predict(observed: Observed, draws: list[Values]) -> tuple[np.ndarray, ...]:
-    """Return lanes, weights (N,), radiance (N, 3), and that of D draws of materials (D, N, 3)."""
+    """Return lanes, weights (N,), radiance (N, 3), and radiance of D materials (D, N, 3)."""
     model = observed.model(roughness_levels(SWITCHES.levels), SWITCHES, 3)
     table = PackedValues.of(draws, model.levels)
     knee, eta = (dr.opaque(mi.Float, x) for x in (SWITCHES.kappa(observed.unit), SWITCHES.edges))
