@@ -73,9 +73,9 @@ class Inpaint(LitCommand, ResultCommand):
         """Fill, and write the results."""
         from svu_mi.geometry.neighbors import neighbors
         from svu_mi.output.texture_files import (
+            capture_of_textures,
             read_textures,
             recovery_settings,
-            require_textures_of,
         )
         from svu_mi.output.write_fill import fill_sentences, write_filled
         from svu_mi.parameters import NAMES
@@ -86,7 +86,7 @@ class Inpaint(LitCommand, ResultCommand):
         size = textures.resolution
         need = partial(Need, "inpaint", resolution=size, model="default")
         capture, texels = self.load_with_light(progress, need, size)
-        capture = require_textures_of(capture, self.recovered)
+        capture = capture_of_textures(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         print_prediction(progress, known)
         with progress.stage("Estimating the uncertainty of textures"):

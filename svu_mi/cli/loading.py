@@ -159,12 +159,12 @@ class EstimateCommand(LitCommand):
         recovered: Path | None = None, **options: Any,
     ) -> tuple[Capture, Estimate]:  # fmt: skip
         """Load the capture, check that ``recovered`` belongs to it, and estimate its posterior."""
-        from svu_mi.output.texture_files import require_textures_of
+        from svu_mi.output.texture_files import capture_of_textures
 
         need = partial(Need, command, resolution=size, model=self.estimation.model)
         capture, grid = self.load_with_light(progress, need, size, self.estimation.known)
         if recovered is not None:
-            capture = require_textures_of(capture, recovered)
+            capture = capture_of_textures(capture, recovered)
             for sentence in _differences(recovered, self.estimation):
                 capture = capture.warned(f"{recovered}: {sentence}")
         estimate = self.estimation.estimate(progress, capture, grid, **options)

@@ -72,14 +72,14 @@ class Relight(CaptureCommand, ResultCommand):
         """Render, and write the results."""
         from svu_mi.calibration.light.resolve_light import with_map
         from svu_mi.output.relight_page import uncertainty_sentence, write_relighting
-        from svu_mi.output.texture_files import read_textures, require_textures_of
+        from svu_mi.output.texture_files import capture_of_textures, read_textures
         from svu_mi.output.texture_samples import find_draws, read_draws
         from svu_mi.recovery.relighting import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
         need = partial(Need, "relight", resolution=textures.resolution)
         capture, _ = self.load(progress, need, textures.resolution)
-        capture = require_textures_of(capture, self.recovered)
+        capture = capture_of_textures(capture, self.recovered)
         if self.environment is not None:
             capture, notes = with_map(capture, self.environment)
             for note in notes:

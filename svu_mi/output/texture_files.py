@@ -150,11 +150,11 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
     return Textures.of(images)
 
 
-def require_textures_of(capture: Capture, folder: str | Path) -> Capture:
-    """Raise an error if ``run.json`` shows that textures belong to another mesh.
+def capture_of_textures(capture: Capture, folder: str | Path) -> Capture:
+    """Return the capture that textures were recovered from; raise an error for another mesh.
 
-    The returned capture has the normals of the folder, if ``svu recover --normals`` refined them,
-    and a warning if the textures come from another capture of the same mesh.
+    It has the normals of the folder, if ``svu recover --normals`` refined them, and a warning if
+    ``run.json`` names another capture of the same mesh.
     """
     folder = Path(folder)
     run, key = marks_of(folder / FILES["base_color"])

@@ -13,7 +13,7 @@ from svu_mi.calibration.normals import refine_normals as refining
 from svu_mi.calibration.normals.refine_normals import refine_normals
 from svu_mi.core.io.exr import read_exr
 from svu_mi.core.progress import Progress
-from svu_mi.output.texture_files import require_textures_of
+from svu_mi.output.texture_files import capture_of_textures
 
 SIZE = 40, 36
 
@@ -112,7 +112,7 @@ def test_recover_writes_a_normal_map_that_its_scene_uses(
     assert (read_exr(out / "normal_sd.exr")["Y"] > 0).all()
     assert "normalmap" in (out / "recovered.xml").read_text()
     plain = svu.load_capture(folder)
-    tilted = require_textures_of(plain, out)
+    tilted = capture_of_textures(plain, out)
     assert tilted.warnings == plain.warnings  # it is the capture that was recovered
     angle = off(tilted, plain, slice(None))
     assert 0.01 < angle < 10
