@@ -65,7 +65,6 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
     variants = child_facts.get("variants", [])
     usable = [name for name in variants if _can_run(name, child_facts["backends"], llvm)]
     library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
-    usual = Path(tempfile.gettempdir()) / "drjit" if sys.platform == "win32" else "~/.drjit"
     facts = {
         "System": f"{platform.system()} {platform.release()} {platform.machine()}",
         "Python": f"{platform.python_version()} ({sys.executable})",
@@ -76,7 +75,7 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
         "LLVM": f"{library}: not usable. {llvm.problem}" if llvm.problem else library,
         **child_facts.get("devices", {}),
         "Threads": str(child_facts.get("threads", 0)),
-        "Kernel cache": os.environ.get("DRJIT_CACHE_DIR", str(usual)),
+        "Kernel cache": os.environ.get("DRJIT_CACHE_DIR", "~/.drjit"),
     }
     return facts, [check_packages(versions), loading, *check_renders(usable, llvm), check_exr()]
 
@@ -160,7 +159,7 @@ def collect_facts() -> None:
     there = [kind for kind in kinds if dr.has_backend(getattr(dr.JitBackend, kind))]
     backends = [kind.upper() for kind in there]
     with suppress(OSError):
-        ctypes.CDLL("nvoptix.dll" if sys.platform == "win32" else "libnvoptix.so.1")
+        ctypes.CDLL("libnvoptix.so.1")
         there.append("OptiX")
     devices = {
         name: "present" if name in there else "absent" for name in ("CUDA", "OptiX", "Metal")
