@@ -5,7 +5,6 @@ Mitsuba and render the test picture.
 """
 
 import ctypes
-import importlib.metadata
 import json
 import os
 import platform
@@ -15,6 +14,7 @@ import sys
 import tempfile
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from importlib.metadata import distributions
 from pathlib import Path
 
 from rich.console import Console
@@ -55,7 +55,10 @@ class Doctor(BaseCommand):
 
 def diagnose() -> tuple[Facts, list[HealthCheck]]:
     """Return facts by name, and results of checks; takes seconds and raises no exception."""
-    versions = {name: _version(name) for name in PACKAGES}
+    versions = {
+        name: next((found.version for found in distributions(name=name)), "missing")
+        for name in PACKAGES
+    }
     loading = _run_child("mitsuba", "collect_facts", remedy=REINSTALL.format("mitsuba drjit"))
     child_facts, llvm = {}, _llvm.status()
     if loading.ok:
@@ -78,13 +81,6 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
         "Kernel cache": os.environ.get("DRJIT_CACHE_DIR", "~/.drjit"),
     }
     return facts, [check_packages(versions), loading, *check_renders(usable, llvm), check_exr()]
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "missing"
 
 
 def _can_run(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:

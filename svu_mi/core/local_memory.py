@@ -22,17 +22,6 @@ def allocate(Float: type, entries: int, count: int) -> list[Any]:
     return [dr.alloc_local(Float, max(count, 1)) for _ in range(entries)]
 
 
-@dr.syntax
-def zeros(Float: type, entries: int, most: int, count: Any) -> list[Any]:
-    """Return memory as ``allocate(Float, entries, most)``, whose first ``count`` blocks are 0."""
-    memory = allocate(Float, entries, most)
-    index = mi.UInt32(0)
-    while index < count:
-        store(memory, index, [Float(0) for _ in range(entries)])
-        index += 1
-    return memory
-
-
 def load(memory: list[Any], index: Any) -> Block:
     """Read the block at ``index``."""
     return [slot[index] for slot in memory]
@@ -45,7 +34,7 @@ def store(memory: list[Any], index: Any, block: Block) -> None:
 
 
 def filled(number: int, read: Callable[[Any], Block]) -> list[Any]:
-    """Return local memory with ``number`` blocks of Floats, those of ``read(index)``.
+    """Return local memory with ``number`` blocks, those of ``read(index)``.
 
     It is filled in a loop: Dr.Jit 1.5 unrolls an initial value. The loop's end is a literal: with
     an opaque one, Dr.Jit 1.5 reuses a kernel of another size.
@@ -55,9 +44,15 @@ def filled(number: int, read: Callable[[Any], Block]) -> list[Any]:
         store(memory, k, read(k))
         return k + 1, memory
 
-    start = (mi.UInt32(0), allocate(mi.Float, len(read(mi.UInt32(0))), number))
+    first = read(mi.UInt32(0))
+    start = (mi.UInt32(0), allocate(type(first[0]), len(first), number))
     memory: list[Any] = dr.while_loop(start, lambda k, _: k < number, fill)[1]
     return memory
+
+
+def zeros(Float: type, entries: int, number: int) -> list[Any]:
+    """Return local memory with ``number`` blocks of ``entries`` zeros."""
+    return filled(number, lambda _: [Float(0)] * entries)
 
 
 def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:

@@ -49,8 +49,8 @@ class SolvedSystem:
         """Accumulate the equations over the views and solve them."""
         size = system.degree + 1  # tiles with this edge need no padding
         blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)
-        gram = zeros(mi.Float64, size * size, memory, dr.opaque(mi.UInt32, memory))
-        right = zeros(mi.Float64, size * system.channels, size, blocks)
+        gram = zeros(mi.Float64, size * size, memory)
+        right = zeros(mi.Float64, size * system.channels, size)
         rows = allocate(mi.Float64, size, size)
         _add_ridge(gram, system, size)
         memory = gram, right, rows, blocks

@@ -195,7 +195,7 @@ class _HypothesisLanes:
 
     def empty(self) -> list[Any]:
         """Allocate local memory for the sums of every row, all 0."""
-        return zeros(mi.Float, 3 * self.channels, self.rows, mi.UInt32(self.rows))
+        return zeros(mi.Float, 3 * self.channels, self.rows)
 
     @dr.syntax
     def accumulate(self, sums: list[Any], view: Any) -> Any:

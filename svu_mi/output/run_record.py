@@ -1,7 +1,6 @@
 """``run.json``: inputs, settings, results and environment of a run."""
 
 import dataclasses
-import importlib.metadata
 import json
 import math
 import os
@@ -9,6 +8,7 @@ import platform
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import distributions
 from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,7 +62,8 @@ def environment_record() -> dict[str, Any]:
         "versions": {
             "svu_mi": svu_mi.__version__,
             "python": platform.python_version(),
-            **{name: _version(name) for name in PACKAGES},
+            **{name: next((found.version for found in distributions(name=name)), None)
+               for name in PACKAGES},
         },
         "platform": platform.platform(),
         "processors": os.cpu_count(),
@@ -72,7 +73,7 @@ def environment_record() -> dict[str, Any]:
             "version": ".".join(map(str, drjit.detail.llvm_version())) if drjit else None,
             "source": _llvm.status().source,
         },
-    }
+    }  # fmt: skip
 
 
 def run_record(
@@ -210,10 +211,3 @@ def _json_value(value: Any, where: str) -> Any:
     if isinstance(value, list | tuple):
         return [_json_value(item, f"{where}[{index}]") for index, item in enumerate(value)]
     raise OutputError(f"{where}: a {type(value).__name__} cannot be written as JSON.")
-
-
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None

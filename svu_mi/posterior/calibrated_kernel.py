@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.core.local_memory import filled, load, scatter_strided, store
+from svu_mi.core.local_memory import load, scatter_strided, store, zeros
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.node_integration import Node, NodeIntegrator
@@ -134,7 +134,7 @@ class BinMasses:
     def zeros(problem: CalibratedProblem, count: int) -> "BinMasses":
         """Return empty bins."""
         _, of_column, of_color = problem.shape
-        memory = zeroed_memory(of_column, problem.factors.channels * of_color)
+        memory = zeros(mi.Float, problem.factors.channels * of_color, of_column)
         return BinMasses(memory, dr.zeros(mi.Float, count))
 
     def add(self, problem: CalibratedProblem, node: Node) -> None:
@@ -300,7 +300,7 @@ def node_masses(problem: CalibratedProblem, name: str, chosen: np.ndarray) -> An
         return (masses,)
 
     integrator = NodeIntegrator(problem, to_drjit(mi.UInt32, chosen))
-    (masses,) = integrator.fold_all(visit, (zeroed_memory(number)[0],))
+    (masses,) = integrator.fold_all(visit, (zeros(mi.Float, 1, number)[0],))
     return _to_blocks(masses, number, len(chosen))
 
 
@@ -318,7 +318,7 @@ def color_masses(
                 masses[number * K + k] = masses[number * K + k] + node.weight * part
         return (masses,)
 
-    (masses,) = integrator.fold_all(visit, (zeroed_memory(channels * K)[0],))
+    (masses,) = integrator.fold_all(visit, (zeros(mi.Float, 1, channels * K)[0],))
     blocks = [_to_blocks(masses, K, len(chosen), number * K) for number in range(channels)]
     dr.eval(blocks)
     return blocks
@@ -357,11 +357,6 @@ def draw(
     shared = [values.sample(node, u) for (values, node), u in zip(places, rest, strict=False)]
     dr.eval(colors, shared)
     return shared, colors
-
-
-def zeroed_memory(number: int, arrays: int = 1) -> list[Any]:
-    """Return arrays of local memory, cleared."""
-    return filled(number, lambda _: [mi.Float(0)] * arrays)
 
 
 def _to_blocks(masses: Any, number: int, count: int, first: int = 0) -> Any:

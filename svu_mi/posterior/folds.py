@@ -33,20 +33,17 @@ MOST = 3.0  # largest difference of means that counts, relative to s_k
 TINY = 1e-9
 
 
-def cluster_directions(directions: np.ndarray, count: int) -> np.ndarray:
-    """Return the cluster in [0, count) of each of V unit vectors, (V,) int64.
+def cluster_directions(directions: np.ndarray, seeds: Sequence[int]) -> np.ndarray:
+    """Return the cluster of each of V unit vectors, (V,) int64; there is one for each seed.
 
-    k-means on the sphere [Dhillon and Modha 2001], from the first vector and those farthest from
-    all before. Clusters can be empty if vectors are equal.
+    k-means on the sphere [Dhillon and Modha 2001], from the vectors numbered ``seeds``. Clusters
+    can be empty if vectors are equal.
 
     Example:
         >>> from svu_mi.posterior.folds import cluster_directions
-        >>> cluster_directions(np.array([[0, 0, 1.0], [1, 0, 0], [0, 0, 1]]), 2).tolist()
+        >>> cluster_directions(np.array([[0, 0, 1.0], [1, 0, 0], [0, 0, 1]]), [0, 1]).tolist()
         [0, 1, 0]
     """
-    seeds = [0]
-    while len(seeds) < count:
-        seeds.append(int(np.argmin((directions @ directions[seeds].T).max(axis=1))))
     centers = directions[seeds]
     for _ in range(ROUNDS):
         labels = np.argmax(directions @ centers.T, axis=1)
@@ -55,6 +52,14 @@ def cluster_directions(directions: np.ndarray, count: int) -> np.ndarray:
         length = np.linalg.norm(sums, axis=1, keepdims=True)
         centers = np.where(length > TINY, sums / np.maximum(length, TINY), centers)
     return labels
+
+
+def farthest_seeds(directions: np.ndarray, count: int) -> list[int]:
+    """Return the number of the first of V unit vectors, and of those farthest from all before."""
+    seeds = [0]
+    while len(seeds) < count:
+        seeds.append(int(np.argmin((directions @ directions[seeds].T).max(axis=1))))
+    return seeds
 
 
 def folds_of(cameras: np.ndarray, center: np.ndarray, most: int) -> list[np.ndarray]:
@@ -66,7 +71,8 @@ def folds_of(cameras: np.ndarray, center: np.ndarray, most: int) -> list[np.ndar
         return []
     order = np.lexsort(away.T)  # folds do not depend on the order of photographs
     labels = np.empty(len(away), np.int64)
-    labels[order] = cluster_directions((away / np.maximum(length, TINY))[order], count)
+    directions = (away / np.maximum(length, TINY))[order]
+    labels[order] = cluster_directions(directions, farthest_seeds(directions, count))
     folds = [np.flatnonzero(labels == k) for k in range(count)]
     return [fold for fold in folds if 0 < len(fold) < len(cameras)]
 

@@ -18,7 +18,13 @@ from svu_mi.calibration.poses.pose_equations import moved_sensor
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.geometry.bitset import Bits
 from svu_mi.light.environment import read_environment
-from svu_mi.posterior.folds import cluster_directions, compared, folds_of, spread_factors
+from svu_mi.posterior.folds import (
+    cluster_directions,
+    compared,
+    farthest_seeds,
+    folds_of,
+    spread_factors,
+)
 from svu_mi.posterior.held_out_samples import HeldOutSamples, predict_samples
 from svu_mi.posterior.kept_results import pack_test, restore_test
 from svu_mi.posterior.neighbor_error import distance_from_neighbors
@@ -68,7 +74,7 @@ def test_directions_of_corners_form_their_clusters():
     around = np.repeat(corners, 3, axis=0)
     around += np.random.default_rng(0).normal(0, 0.05, around.shape)
     around /= np.linalg.norm(around, axis=1, keepdims=True)
-    labels = cluster_directions(around, 8).reshape(8, 3)
+    labels = cluster_directions(around, farthest_seeds(around, 8)).reshape(8, 3)
     assert (labels == labels[:, :1]).all()
     assert sorted(labels[:, 0]) == list(range(8))
 

@@ -11,7 +11,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import object_only_scene
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.identifiers import markdown_text
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, first_of
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
@@ -145,9 +145,8 @@ def _seen_by(capture: Capture, pick: Pick) -> str:
     count = len(pick.seen_by)
     if not count:
         return f"not seen by any of {sum(capture.used)} views"
-    names = [markdown_text(capture.names[view]) for view in pick.seen_by[:NAMED]]
-    more = [f"and {count - NAMED} more"] if count > NAMED else []
-    return f"seen by **{count}** of {sum(capture.used)} views: {', '.join([*names, *more])}"
+    names = first_of([markdown_text(capture.names[view]) for view in pick.seen_by], NAMED)
+    return f"seen by **{count}** of {sum(capture.used)} views: {names}"
 
 
 def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None) -> np.ndarray:

@@ -25,6 +25,7 @@ import numpy as np
 import scipy
 
 from svu_mi.posterior import intervals
+from svu_mi.posterior.folds import cluster_directions
 from svu_mi.recovery.inpaint.combine_predictors import MEAN_WEIGHTS, TITLES, predictions
 from svu_mi.recovery.inpaint.fill_result import LEAST_SD
 from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
@@ -49,27 +50,15 @@ def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST_PARTS, MOST_PARTS))
     masks: list[np.ndarray] = []
     for seed in range(DIVISIONS if number == FEWEST_PARTS else 1):
-        owner = np.full(len(normal), -1)
-        owner[seen] = _cluster_directions(normal[seen], number, seed)
+        owner, shown = np.full(len(normal), -1), normal[seen]
+        random, count = np.random.default_rng(seed), min(number, len(shown))
+        seeds = random.choice(len(shown), count, replace=False).tolist()
+        owner[seen] = cluster_directions(shown, seeds)
         for hidden in (owner == k for k in range(number)):
             new = not any(np.array_equal(hidden, other) for other in masks)
             if new and hidden.any() and (seen & ~hidden).any():
                 masks.append(hidden)
     return masks
-
-
-def _cluster_directions(unit: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """Return the cluster index (n,) of unit vectors (n, 3), by spherical k-means."""
-    random = np.random.default_rng(seed)
-    centres = unit[random.choice(len(unit), min(number, len(unit)), replace=False)]
-    for _ in range(8):
-        owner = (unit @ centres.T).argmax(axis=1)
-        centres = np.stack([
-            unit[owner == k].mean(axis=0) if (owner == k).any() else centres[k]
-            for k in range(len(centres))
-        ])  # fmt: skip
-        centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
-    return np.asarray((unit @ centres.T).argmax(axis=1))
 
 
 TRIAL_TEXELS = 3000  # sample of a held-out part
