@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.bench import BENCHMARKS
 from svu_mi.bench.accuracy.accuracy_tables import OTHER_NOISE
-from svu_mi.bench.guidance.guidance_tables import compare, mean_curve, views_needed, views_ratio
+from svu_mi.bench.guidance.guidance_tables import compare, views_needed, views_ratio
 from svu_mi.bench.markdown import BAR_COLUMNS, seconds, table
 from svu_mi.bench.orb.orb_tables import PUBLISHED
 from svu_mi.bench.orb.orb_targets import FIGURES
@@ -41,6 +41,7 @@ ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "notebooks" / "benchmarks"
 # Estimators whose results are on the pages of the studies only, and simple maps.
 LESS = ("spectrum paper, relative noise",)
+COMPARED = ("angular default", "angular fixed", "angular fast")  # in times
 SIMPLE = ("brightness", "number of views")
 Record = dict[str, Any]
 Row = Sequence[str]
@@ -98,6 +99,10 @@ def agreement(record: Record) -> list[Row]:
             ["halves of the reference's samples", both(halves), "upper limit"]]  # fmt: skip
 
 
+UNMODELLED = {"table": "unknown table", "bounces": "unmodelled bounces", "poses": "wrong poses",
+              "found light": "estimated light"}  # fmt: skip
+
+
 def sets(record: Record) -> list[Row]:
     found, traced = rows_of(record, "default"), rows_of(record, "traced")
     names = ("r", "m", "c", "rm")
@@ -108,15 +113,18 @@ def sets(record: Record) -> list[Row]:
     return [
         ["90 % sets: roughness / metallic / base colour / first two jointly", joined("90", names),
          ".90"],
-        ["50 % sets, the same", joined("50", names), ".50"],
         ["90 % intervals: roughness / metallic / base colour", joined("interval"), ".90"],
         ["predicted and true error of a texel, Spearman", both(row["spearman"] for row in found),
          "1"],
-        ["area under the sparsification error: roughness / metallic / base colour", joined("ause"),
-         "0 perfect, 1 random order"],
+        *bars(record, {
+            "intervals of roughness narrower than .1: contain the truth / number, relative to before":
+                ["narrow intervals of roughness with", "narrow intervals of roughness, rel"],
+            **{f"90 % intervals, {name}": [f"{start}: 90 % intervals"]
+               for start, name in UNMODELLED.items()},
+        }),
         ["PSNR of posterior means, the same (dB)", joined("psnr"), ""],
-        ["entropy against path tracing with the same likelihood, Pearson",
-         both(row["rho"] for row in traced),
+        ["entropy against path tracing with the same likelihood, Pearson: same prior / as shown",
+         " / ".join(both(row.get(key) for row in traced) for key in ("rho", "rho now")),
          f"{mean(row['halves'] for row in traced):.2f}: halves of the reference's samples"],
     ]  # fmt: skip
 
@@ -141,8 +149,7 @@ def intervals(record: Record) -> list[Row]:
         [f"{part}: {name}, intervals that contain the truth{end}" for name in names]
         for part, end in (("textures", ", at least"), ("textures", ", worst"), ("shared", "")))
     return bars(record, {
-        "90 % intervals of textures: base colour / roughness / metallic": whole,
-        "the same, worst case": worst,
+        "90 % intervals of textures: base colour / roughness / metallic; worst cases": whole + worst,
         "the same, with `--sharing` and photographs mostly from one side": shared,
         "90 % intervals of a third of the surface that is filled": ["filled: intervals"],
         "filled texels, PSNR above spreading from the border: mean / worst case": ["filled: PSNR"],
@@ -204,7 +211,6 @@ def views(record: Record) -> list[Row]:
     kinds = list(dict.fromkeys(run["kind"] for run in runs))
     own = [[run for run in runs if run["kind"] == kind] for kind in kinds]
     pairs = [pair for pair in compare(runs, sizes) if pair["strategy"] == "entropy"]
-    gains = ", ".join(f"{s} {mean_curve(runs, s)[-1]:+.2f}" for s in sizes.strategies)
     return [
         [f"views for +{sizes.step:g} dB, farthest over entropy: {' / '.join(kinds)} starts",
          " / ".join(f"{views_ratio(some, sizes, 'entropy', 'farthest'):.2f}" for some in own),
@@ -215,7 +221,6 @@ def views(record: Record) -> list[Row]:
         [f"mean gain of PSNR, entropy over {' / '.join(pair['other'] for pair in pairs)}",
          " / ".join(f"{pair['difference']:+.2f}" for pair in pairs) + " dB",
          f"p = {' / '.join(format(pair['p'], '.2g') for pair in pairs)}"],
-        [f"gain with {sizes.marks[-1]} more views (dB)", gains, ""],
     ]  # fmt: skip
 
 
@@ -268,43 +273,37 @@ def orb(record: Record) -> list[Row]:
 
 def times(record: Record) -> list[Row]:
     parts = record["cells"][0]["rows"]
-    brute = parts["brute"]
+    brute, ways = parts["brute"], parts["whole_way"]
+    peak, formula = (" / ".join(f"{way['cold'][key]:.0f}" for way in ways.values()) + " MiB"
+                     for key in ("peak_mib", "formula_mib"))  # fmt: skip
     return [
         *([f"`{label}`, compiled / with compilation", f"{seconds(part['warm_seconds'])} / "
            f"{seconds(part['cold']['seconds'])}", ""]
-          for label, part in parts["estimators"].items() if label.startswith("angular")
-          and label not in LESS),
+          for label, part in parts["estimators"].items() if label in COMPARED),
         *bars(record, {
             "files to entropy.exr, `default`: compiled / new process with compilation":
                 [f"files to entropy.exr, angular: {end}" for end in ("compiled", "new process")],
-            "rays per second of the visibility pass, part of bare `ray_test`": ["rays per second"],
         }),
         ["path-traced posterior of all texels, extrapolated", seconds(brute["seconds"]),
          f"{seconds(brute['linear_seconds'])} if light is direct"],
+        [f"peak memory from files to entropy.exr: {' / '.join(ways)}", peak, f"formula: {formula}"],
     ]  # fmt: skip
 
 
 def growth(record: Record) -> list[Row]:
-    rows = []
-    for curve in record["cells"][0]["rows"].values():
-        line, points, memory = curve["line"], curve["points"], ""
-        time = f"{1e3 * line['b']:.3g} ms"
-        if curve["what"] == "texels":
-            n, mib = [p["n"] for p in points], [p["allocated_mib"] for p in points]
-            memory = f"; {2**20 * np.polyfit(n, mib, 1)[0]:.0f} bytes"
-            time = f"{1e6 * line['b']:.3g} us"
-        rows.append([f"{curve['method']}, per {curve['what'][:-1]}: time; exponent; R^2"
-                     f"{'; memory' if memory else ''}", f"{time}; {line['slope']:.2f}; "
-                     f"{line['r2']:.3f}{memory}", "<= 1.1; >= .95"])  # fmt: skip
+    curves, rows = record["cells"][0]["rows"].values(), []
+    for method in dict.fromkeys(curve["method"] for curve in curves):
+        texel, view = (next(one for one in curves if (one["method"], one["what"]) == (method, what))
+                       for what in ("texels", "views"))  # fmt: skip
+        n, mib = ([point[key] for point in texel["points"]] for key in ("n", "allocated_mib"))
+        lines = texel["line"], view["line"]
+        rows.append([
+            f"{method}: exponents of texels / views; time of each; memory of a texel",
+            " / ".join(f"{line['slope']:.2f}" for line in lines)
+            + f"; {1e6 * lines[0]['b']:.3g} us / {1e3 * lines[1]['b']:.3g} ms; "
+            f"{2**20 * np.polyfit(n, mib, 1)[0]:.0f} bytes", "<= 1.1",
+        ])  # fmt: skip
     return rows
-
-
-def peaks(record: Record) -> list[Row]:
-    ways = record["cells"][0]["rows"]["whole_way"]
-    peak, formula = (" / ".join(f"{way['cold'][key]:.0f}" for way in ways.values()) + " MiB"
-                     for key in ("peak_mib", "formula_mib"))  # fmt: skip
-    return [[f"peak memory from files to entropy.exr: {' / '.join(ways)}", peak,
-             f"formula: {formula}"]]  # fmt: skip
 
 
 def predicted(record: Record) -> list[Row]:
@@ -325,8 +324,8 @@ def bounces(record: Record) -> list[Row]:
     label = "angular fixed" if "angular fixed" in labels else next(iter(labels))
     rows = [[f"`{label}`: {words}", both(row[kind] for row in rows_of(record, label)), ""]
             for kind, words in kinds.items()]  # fmt: skip
-    references = both(case["references"] for case in record["cells"])
-    return [*rows, ["references of direct light and of 3 bounces", references, "upper limit"]]
+    rows[-1][-1] = f"{both(case['references'] for case in record['cells'])}: of both references"
+    return rows
 
 
 # --- pages ----------------------------------------------------------------------------------
@@ -412,17 +411,13 @@ SECTIONS = (
         {"paper": printed, "orb": orb}, ("quantity", "measured", "paper"),
     ),
     Section(
-        "Run time",
+        "Run time, scaling and memory",
         "Times are for a 512 x 512 texture and 60 photographs of 512 x 512 pixels, in memory or from "
-        "files. The first time is with compiled kernels, the second includes their compilation.",
-        {"speed": times},
-    ),
-    Section(
-        "Scaling and memory",
+        "files. The first time is with compiled kernels, the second includes their compilation. "
         "A line is fitted to the run times of an estimate by number of texels and of views; an "
         "exponent of at most 1 means that time grows no faster than linearly. Commands stop if a "
         "formula predicts more memory than is available; it is compared with the measured peak.",
-        {"scaling": growth, "speed": peaks},
+        {"speed": times, "scaling": growth},
     ),
     Section(
         "Real photographs",

@@ -119,9 +119,12 @@ class CalibrationCase(CaseSubject):
 
     def calibration(self, **switches: Any) -> Record:
         """Return the scores of the preset ``default`` with ``switches`` replaced."""
+        return self._scores(self.estimated(**switches), np.arange(self.layout.count))
+
+    def estimated(self, **switches: Any) -> Estimate:
+        """Return the estimate of the preset ``default`` with ``switches`` replaced."""
         chosen = preset("default", method="angular", **switches)
-        found = estimate(self.capture, self.layout, preset=chosen, method="angular")
-        return self._scores(found, np.arange(self.layout.count))
+        return estimate(self.capture, self.layout, preset=chosen, method="angular")
 
     def varied_as(self, name: str) -> Record:
         """Return the scores of the preset ``default`` for a variant."""
@@ -146,15 +149,18 @@ class CalibrationCase(CaseSubject):
         return {**posterior_figures(found.posterior, true, chosen), "spread": spread}
 
     def traced(self) -> Record:
-        """Return the correlation of the entropy with path-traced entropy."""
+        """Return correlations with path-traced entropy: of the reference's prior, and as shown."""
         count, spp = (QUICK_TRACED, QUICK_SPP) if self.bench.quick else (TRACED, SPP)
         reference = reference_of(
             self.bench, self.capture, self.layout, subset=count, spp=spp, noise="estimated"
         )
         seen = reference.coverage > 0
-        entropy = np.array(estimate(self.capture, self.layout).entropy, np.float64)
+        true, found = reference.entropy[seen], {}
+        for key, changes in (("rho", BEFORE), ("rho now", {})):
+            entropy = np.array(self.estimated(**changes).entropy, np.float64)
+            found[key] = pearson(entropy[reference.subset][seen], true)
         return {
-            "rho": pearson(entropy[reference.subset][seen], reference.entropy[seen]),
+            **found,
             "halves": reference.split_half().correlation,
         }
 
@@ -254,13 +260,14 @@ def _tables(record: Record) -> list[str]:
                digits(1 if key.startswith("psnr") else 2))
         for key, title in SHOWN.items()
     ]  # fmt: skip
-    traced = [[case["cell"], *(f"{case['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
+    traced = [[case["cell"], *(f"{value:.2f}" for value in case["rows"]["traced"].values())]
               for case in record["cells"] if "traced" in case["rows"]]  # fmt: skip
     return [
         f"At most {JUDGED} texels per case; r, m and c are roughness, metallic and base colour.",
         tabulate(shown, lines), *_compared(rows, _rows(record, "before")),
-        "Correlation of the entropy with path-traced texels, and of two halves of their samples.",
-        table(("object / light", "entropy", "halves"), traced), *_others(record),
+        "Correlation with the path-traced entropy of the same likelihood and a flat prior: of the "
+        "entropy before folds and the prior of metals, of that now, and of halves of the samples.",
+        table(("object / light", "before", "now", "halves"), traced), *_others(record),
     ]  # fmt: skip
 
 
