@@ -5,7 +5,7 @@ light, wide lobes sum light cells. ``fast`` has no wide lobes; ``paper`` uses sp
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -26,7 +26,7 @@ from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.near_lobes import NearLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.wide_lobes import NARROW, WideLobes, added_lobes
+from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added_lobes
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,13 @@ class IncidentLight:
     flash: FlashLight | None = None
 
 
+class FittedLobes(Protocol):
+    """Lobes that use a fit of each texel's light (``ShLobes``)."""
+
+    def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
+        """Return the light that the lobe of each level reflects towards a camera."""
+
+
 @dataclass(frozen=True)
 class ReflectionModel:
     """Reflection of S texels at R roughness levels.
@@ -52,7 +59,7 @@ class ReflectionModel:
         roughness: (R,) float64, roughness of the levels, ascending.
         narrow: narrow lobes, of the first levels; or None.
         wide: wide lobes, of the remaining levels; or None.
-        fitted: lobes of all levels (``ShLobes``) if light is fitted per texel; or None.
+        fitted: lobes of all levels if light is fitted per texel; or None.
         near, lamps, flash: lobes of all levels for light from other surfaces and of lamps; or None.
         moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
@@ -62,7 +69,7 @@ class ReflectionModel:
     switches: AngularPreset
     narrow: NarrowLobes | None
     wide: WideLobes | None
-    fitted: Any | None
+    fitted: FittedLobes | None
     moments: list[list[Any]]
     near: NearLobes | None = None
     lamps: LampLobes | None = None
@@ -71,7 +78,7 @@ class ReflectionModel:
     @staticmethod
     def of(
         surface: TexelLanes, light: IncidentLight, roughness: np.ndarray, switches: AngularPreset,
-        fitted: Any | None = None,
+        fitted: FittedLobes | None = None,
     ) -> "ReflectionModel":  # fmt: skip
         """Prefilter the light (unless lobes are fitted) and sum its diffuse moments."""
         if np.any(np.diff(roughness) <= 0):

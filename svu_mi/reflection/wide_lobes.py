@@ -10,7 +10,7 @@ Where normals vary within a texel, lobes narrower than ``BENT`` are averaged ove
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -36,6 +36,16 @@ def added_lobes(first: list[Lobe], second: list[Lobe]) -> list[Lobe]:
         [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
         for both in zip(first, second, strict=True)
     ]  # type: ignore[misc]
+
+
+class Cells(Protocol):
+    """Cells of light as seen from one texel per lane, such as ``LightCells``."""
+
+    def at(self, cell: Any) -> tuple[Any, Any]:
+        """Return direction (Vector3f) and radius (Float) of a cell."""
+
+    def light(self, cell: Any, channels: int) -> list[Any]:
+        """Return the irradiance by a cell: R, G and B, or their mean if ``channels`` is 1."""
 
 
 class LobeSums:
@@ -69,11 +79,8 @@ class LobeSums:
         pairs = zip(sums, product(lobes, parts), strict=True)
         return [dr.fma(part, lobe, old) for old, (lobe, part) in pairs]
 
-    def of_cells(self, cells: Any, count: Any, free: Any, cosine: Any) -> list[Lobe]:
-        """Return the lobes of ``count`` cells in lanes where these are visible (``free``).
-
-        ``cells`` are ``LightCells`` or others with ``at`` and ``light``.
-        """
+    def of_cells(self, cells: Cells, count: Any, free: Any, cosine: Any) -> list[Lobe]:
+        """Return the lobes of ``count`` cells in lanes where these are visible (``free``)."""
 
         def add(cell: Any, sums: list[Any]) -> tuple[Any, Any]:
             toward, radius = cells.at(cell)
