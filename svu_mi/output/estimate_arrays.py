@@ -1,9 +1,15 @@
 """Values of an estimate as NumPy arrays, and labels of parameters, for pages."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from svu_mi.posterior.estimate import Estimate
+from svu_mi.posterior.posterior import Posterior
+
+if TYPE_CHECKING:
+    from svu_mi.recovery.recovery_result import Recovery
 
 LOWEST_PART = 0.1  # fraction of the texels, of lowest entropy, with their own mean marginal
 SAMPLE = 2_000  # texels of a mean marginal
@@ -33,7 +39,7 @@ class EstimateArrays:
         return max(int(self.coverage.max(initial=0)), 1)
 
     @classmethod
-    def of(cls, estimate: Any) -> "EstimateArrays":
+    def of(cls, estimate: Estimate) -> "EstimateArrays":
         """Copy the values of an estimate."""
         texels, seen = estimate.texels, is_seen(estimate)
         return cls(
@@ -43,17 +49,17 @@ class EstimateArrays:
         )  # fmt: skip
 
 
-def is_seen(estimate: Any) -> np.ndarray:
+def is_seen(estimate: "Estimate | Recovery") -> np.ndarray:
     """Return flags of texels that at least one view sees, (T,) bool."""
     return np.array(estimate.coverage) > 0
 
 
-def texel_areas(estimate: Any) -> np.ndarray:
+def texel_areas(estimate: "Estimate | Recovery") -> np.ndarray:
     """Return the surface area of each texel, (T,) float64."""
     return np.array(estimate.texels.footprint, np.float64) ** 2
 
 
-def column_and_row(estimate: Any, texel: int) -> tuple[int, int]:
+def column_and_row(estimate: Estimate, texel: int) -> tuple[int, int]:
     """Return column and row of a texel in the texture."""
     row, column = divmod(int(estimate.texels.index.numpy()[texel]), estimate.texels.resolution[0])
     return column, row
@@ -64,25 +70,25 @@ def label_of(name: str) -> str:
     return name.replace("_", " ").replace("color", "colour")
 
 
-def open_axes(estimate: Any) -> dict[str, np.ndarray]:
+def open_axes(estimate: Estimate) -> dict[str, np.ndarray]:
     """Return the grid nodes of the unknown parameters, by name."""
     return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
 
 
-def known_values(estimate: Any) -> dict[str, float]:
+def known_values(estimate: Estimate) -> dict[str, float]:
     """Return the values of the known parameters, by name."""
     axes = estimate.posterior.axes.items()
     return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
 
 
-def prior_marginal(posterior: Any, name: str) -> np.ndarray:
+def prior_marginal(posterior: Posterior, name: str) -> np.ndarray:
     """Return the prior's marginal (nodes,) of a parameter."""
     others = tuple(k for k, other in enumerate(posterior.axes) if other != name)
     return np.asarray(posterior.prior.sum(axis=others))
 
 
 def mean_marginals(
-    estimate: Any, result: EstimateArrays
+    estimate: Estimate, result: EstimateArrays
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return mean marginals of all seen texels, and of the 10 % with the lowest entropy.
 

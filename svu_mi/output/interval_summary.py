@@ -8,7 +8,9 @@ import numpy as np
 from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.output.estimate_arrays import is_seen, label_of, open_axes, texel_areas
 from svu_mi.output.html import NARROW_SPACE, percent
+from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.intervals import LEVEL, subsample
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import bin_edges
 
 TOLERANCE = 0.05  # largest half-width of an interval that counts as known
@@ -28,8 +30,9 @@ class Intervals:
     """
 
     def __init__(
-        self, posterior: Any, chosen: np.ndarray | None = None, nearest: np.ndarray | None = None
-    ) -> None:
+        self, posterior: Posterior, chosen: np.ndarray | None = None,
+        nearest: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         self.chosen = np.arange(posterior.count) if chosen is None else chosen
         self._posterior, self._nearest = posterior, nearest
         self._half: dict[str, np.ndarray] = {}
@@ -43,13 +46,13 @@ class Intervals:
         return self._half[name]
 
 
-def interval_of(posterior: Any, name: str, texel: int) -> tuple[np.ndarray, np.ndarray]:
+def interval_of(posterior: Posterior, name: str, texel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return lower and upper end of a texel's ``LEVEL`` interval, one number per channel."""
     low, high = (np.array(end).reshape(-1) for end in posterior.interval(name, LEVEL, [texel]))
     return low, high
 
 
-def picture_intervals(estimate: Any, side: int) -> Intervals:
+def picture_intervals(estimate: Estimate, side: int) -> Intervals:
     """Return intervals, subsampled for a map whose longer side has ``side`` pixels."""
     texels, seen = estimate.texels, is_seen(estimate)
     index, step = np.array(texels.index), -(-max(texels.resolution) // side)
@@ -64,13 +67,13 @@ def picture_intervals(estimate: Any, side: int) -> Intervals:
     return Intervals(estimate.posterior, chosen, nearest)
 
 
-def has_estimated_light(estimate: Any) -> bool:
+def has_estimated_light(estimate: Estimate) -> bool:
     """Return whether the light or its level is estimated, so that intervals are too narrow."""
     observed = estimate.observed
     return observed is not None and observed.capture.light_uncertainty is not None
 
 
-def sampled_intervals(estimate: Any) -> Intervals:
+def sampled_intervals(estimate: Estimate) -> Intervals:
     """Return the intervals of a few thousand seen texels, which determine shares to 1 or 2 %."""
     return Intervals(estimate.posterior, subsample(np.flatnonzero(is_seen(estimate))))
 
@@ -107,7 +110,7 @@ class IntervalSummary:
     withheld: str
 
     @classmethod
-    def of(cls, estimate: Any, intervals: Intervals | None = None) -> "IntervalSummary":
+    def of(cls, estimate: Estimate, intervals: Intervals | None = None) -> "IntervalSummary":
         """Summarise the intervals of an estimate.
 
         ``intervals`` are computed from its posterior (default: ``sampled_intervals``).
@@ -134,7 +137,7 @@ class IntervalSummary:
                 name: weighted_median(width, area[seen]) for name, width in half.items()
             },
             cell_width={name: w for name, w in widest.items() if not is_within(w / 2, TOLERANCE)},
-            resolution=tuple(estimate.texels.resolution),
+            resolution=estimate.texels.resolution,
             withheld=ESTIMATED_LIGHT if is_found and names else "",
         )
 
@@ -187,7 +190,7 @@ def weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order[np.searchsorted(below, below[-1] / 2)]])
 
 
-def _widest_bin(posterior: Any, name: str) -> float:
+def _widest_bin(posterior: Posterior, name: str) -> float:
     """Return the width of the grid's widest cell; 0 for continuous intervals."""
     if posterior.continuous:
         return 0.0

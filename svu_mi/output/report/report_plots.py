@@ -19,6 +19,8 @@ from svu_mi.output.interval_summary import interval_of
 from svu_mi.output.panels import bar_edges
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.style import css_colors
+from svu_mi.posterior.estimate import Estimate
+from svu_mi.posterior.posterior import Posterior
 
 BINS = 25  # bars of the histogram
 TOPS = (0.2, 0.3, 0.5, 1.0)  # possible upper ends of probability axes
@@ -107,7 +109,7 @@ def entropy_histogram(result: EstimateArrays) -> Plot | None:
     )  # fmt: skip
 
 
-def marginal_plots(estimate: Any, result: EstimateArrays) -> Iterator[tuple[str, Plot]]:
+def marginal_plots(estimate: Estimate, result: EstimateArrays) -> Iterator[tuple[str, Plot]]:
     """Yield the mean marginal of each open parameter over seen texels, if there are any."""
     if not result.seen.any():
         return
@@ -117,7 +119,7 @@ def marginal_plots(estimate: Any, result: EstimateArrays) -> Iterator[tuple[str,
 
 
 def example_texels(
-    table: Turntable, estimate: Any, result: EstimateArrays, frames: list[PageImage]
+    table: Turntable, estimate: Estimate, result: EstimateArrays, frames: list[PageImage]
 ) -> Iterator[dict[str, Any]]:
     """Yield seen texels of low, median and high entropy with their marginals, from several sides.
 
@@ -158,7 +160,7 @@ def _interval_text(low: np.ndarray, high: np.ndarray) -> str:
 
 
 def _marginal(
-    posterior: Any, name: str, p: np.ndarray, lowest: np.ndarray | None = None
+    posterior: Posterior, name: str, p: np.ndarray, lowest: np.ndarray | None = None
 ) -> Plot:  # fmt: skip
     """Plot a marginal as bars, or as one line per channel; ``lowest`` is dashed."""
     nodes, prior, several = posterior.axes[name], prior_marginal(posterior, name), p.shape[1] == 3

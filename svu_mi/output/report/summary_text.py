@@ -1,12 +1,13 @@
 """Summary of a report: surface shares by interval width, and sentences."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from svu_mi.output.estimate_arrays import is_seen, known_values, label_of, texel_areas
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import TOLERANCE, Intervals, area_share, is_within
+from svu_mi.posterior.estimate import Estimate
 
 ROUGHLY = 0.15  # largest half-width of an interval that counts as roughly determined
 STEEP = 0.5  # smallest mean sine of elevation that counts as upwards or downwards
@@ -37,7 +38,7 @@ class WidthShares(NamedTuple):
     wide: float
 
     @classmethod
-    def of(cls, estimate: Any, intervals: Intervals, name: str) -> "WidthShares":
+    def of(cls, estimate: Estimate, intervals: Intervals, name: str) -> "WidthShares":
         """Return the shares of a parameter; at least one texel of the intervals must be seen."""
         seen = is_seen(estimate)[intervals.chosen]
         area, half = texel_areas(estimate)[intervals.chosen][seen], intervals.half_width(name)[seen]
@@ -49,7 +50,7 @@ class WidthShares(NamedTuple):
         )
 
 
-def facing_direction(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
+def facing_direction(estimate: Estimate, chosen: np.ndarray, up: np.ndarray) -> str | None:
     """Return ``upwards`` or ``downwards`` if the chosen texels mostly face that way, else None."""
     area = texel_areas(estimate)[chosen]
     heights = np.array(estimate.texels.normal, np.float64).T[chosen] @ up
@@ -59,7 +60,7 @@ def facing_direction(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str |
     return "upwards" if mean > STEEP else "downwards" if mean < -STEEP else None
 
 
-def skipped_sentences(estimate: Any) -> list[str]:
+def skipped_sentences(estimate: Estimate) -> list[str]:
     """Return a sentence for each kind of skipped work."""
     about = {
         "unseen": f"{estimate.posterior.prior_entropy:.3g}",
