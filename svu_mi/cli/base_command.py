@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from rich.console import Console
 from tyro.conf import arg
@@ -75,11 +75,11 @@ class BaseCommand:
         ensure_threads(self.threads)
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
-    def run_info(self, progress: Progress, /, **options: Any) -> "RunInfo":
+    def run_info(self, progress: Progress) -> "RunInfo":
         """Return the options and kernels of this run, for ``run.json``."""
         from svu_mi.output.run_record import RunInfo
 
-        return RunInfo(settings=as_dict(self), kernels=progress.kernels, **options)
+        return RunInfo(settings=as_dict(self), kernels=progress.kernels)
 
     def _set_variant(self) -> None:
         import drjit as dr

@@ -79,8 +79,8 @@ class Guide(EstimateCommand):
             self.start()
             progress = Progress(console)
             capture, estimate, guidance = self._guide(progress)
-            with progress.stage("Writing the results") as stage:
-                run = self.run_info(progress, progress=stage.update)
+            with progress.stage("Writing the results"):
+                run = self.run_info(progress)
                 write_guidance(
                     capture, estimate, guidance, place, run, up=self.up, pictures=self.pictures
                 )  # fmt: skip

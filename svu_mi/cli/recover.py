@@ -156,8 +156,8 @@ class Recover(LitCommand, ResultCommand):
         field = None
         if supports_texture_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)
-        with progress.stage("Writing the results") as stage:
-            run = self.run_info(progress, progress=stage.update)
+        with progress.stage("Writing the results"):
+            run = self.run_info(progress)
             write_recovery(
                 capture, recovery, place, run, estimate=known, field=field, normals=refined,
                 draws=DrawOptions(self.drawn, self.seed) if self.drawn else None,

@@ -1,10 +1,11 @@
 """Views of the object: choice of sensors, crop windows."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import bounding_sphere, directions_of
 from svu_mi.capture.tonemap import tone_mapped, with_bounds
 from svu_mi.capture.up_direction import UP
@@ -21,7 +22,7 @@ DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.
 
 
 def distant_views(
-    capture: Any, seen_per_view: Sequence[int] | None = None, count: int = 2
+    capture: Capture, seen_per_view: Sequence[int] | None = None, count: int = 2
 ) -> list[int]:
     """Return up to ``count`` used sensors that look from different directions.
 
@@ -44,7 +45,7 @@ def distant_views(
     return [used[index] for index in chosen]
 
 
-def _brightness(capture: Any, view: int) -> float:
+def _brightness(capture: Capture, view: int) -> float:
     """Return the mean screen value of a photograph, on the object if it has a mask."""
     image, mask = with_bounds(capture, view), capture.masks[view] if capture.masks else None
     step = -(-max(image.shape[:2]) // COARSE)
@@ -83,7 +84,7 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
 
 
 def front_and_right(
-    capture: Any, center: np.ndarray, up: np.ndarray
+    capture: Capture, center: np.ndarray, up: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return horizontal unit vectors (3,): front, to the first used camera; and right."""
     sensors = capture.used_sensors or capture.sensors

@@ -6,7 +6,7 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import distributions
 from itertools import compress
@@ -23,7 +23,6 @@ from svu_mi.capture.content_hash import mesh_key
 from svu_mi.core.io.files import write_text
 from svu_mi.core.io.output_folder import Draft
 from svu_mi.core.io.provenance import RUN_RECORD
-from svu_mi.core.progress import Stage
 from svu_mi.errors import OutputError
 from svu_mi.output.estimate_arrays import is_seen
 from svu_mi.output.interval_summary import IntervalSummary
@@ -39,17 +38,15 @@ PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas"
 
 @dataclass(frozen=True, kw_only=True)
 class RunInfo:
-    """Settings, compiled kernels and progress callback of a run.
+    """Settings and compiled kernels of a run.
 
     Attributes:
         settings: Settings of the caller, such as command-line options and seeds.
         kernels: Number of compiled kernels per stage (``Progress.kernels``).
-        progress: Callback with (written parts, all parts).
     """
 
     settings: Mapping[str, Any] | None = None
     kernels: Mapping[str, int] | None = None
-    progress: Callable[[int, int], None] = Stage().update
 
 
 def environment_record() -> dict[str, Any]:

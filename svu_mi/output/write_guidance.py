@@ -47,23 +47,18 @@ def write_guidance(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    run = run or RunInfo()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
         target = draft.folder
         _write_poses(capture, guidance, target)
         write_manifest(target / PLAN, plan_record(capture, estimate, guidance))
-        run.progress(1, 4)
         maps = guidance.gain_maps()
-        run.progress(2, 4)
         if pictures:
             looks = proposal_views(capture, guidance)
             write_guidance_overview(capture, estimate, guidance, maps, looks, target / PAGE, up)
             thumbnails = information_gain_pictures(looks, guidance, maps)
             _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
-        run.progress(3, 4)
         _write_maps(guidance, maps, target)
-        run.progress(4, 4)
-        write_run(draft, guidance_record(capture, estimate, guidance), run)
+        write_run(draft, guidance_record(capture, estimate, guidance), run or RunInfo())
 
 
 def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:

@@ -69,15 +69,12 @@ def write_recovery(
     """
     estimate = recovery.estimate if estimate is None else estimate
     key = capture_key(capture)
-    run = run or RunInfo()
     about = exr_attributes(recovery, settings=json.dumps(recovery.settings, default=str))
     with writing(folder, "recover", RECORD, capture=key) as draft:
         target = draft.folder
         write_scene(capture, recovery.textures, target, attributes=about)
-        run.progress(1, 4)
         if pictures:
             _draw(capture, recovery, estimate, field, target)
-        run.progress(2, 4)
         _write_uncertainty(recovery, estimate, field, target)
         if normals is not None:
             write_exr(target / "normal.exr", {"RGB": normals.normals}, about)
@@ -86,15 +83,13 @@ def write_recovery(
         lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in losses)]
         write_text(target / LOSSES, "\n".join(lines))
         record = recovery_record(capture, recovery, estimate)
-        run.progress(3, 4)
         if field is not None and draws is not None:
             first = write_draws(field.draw(draws.count, draws.seed), target, about)
             if pictures:
                 seen = getattr(estimate, "seen_per_view", None)
                 (view,) = object_views.distant_views(capture, seen, 1)
                 write_sheet(capture, recovery, first, target / SHEET, view)
-        run.progress(4, 4)
-        write_run(draft, record, run)
+        write_run(draft, record, run or RunInfo())
 
 
 def _draw(

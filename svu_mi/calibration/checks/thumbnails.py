@@ -14,6 +14,7 @@ from svu_mi.capture.film_rays import RAY_FLOATS, film_ray
 from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.tonemap import block_means
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views, pack_views
@@ -95,7 +96,7 @@ def reduce_photographs(capture: Capture, side: int) -> Capture:
         sensors[index] = frame.sensor((sensor.near_clip(), sensor.far_clip()))
         images[index] = _usable_mean(image, block)
         if mask is not None and block > 1:
-            masks[index] = _mean(mask[..., None], block)[..., 0] >= 0.5
+            masks[index] = block_means(mask[..., None], block, block)[..., 0] >= 0.5
     grey = np.concatenate([images[index].mean(axis=2).ravel() for index in used])
     lit = grey[grey > 0]  # NaN is not
     unit = np.float32(np.median(lit) if len(lit) else 1)
@@ -115,18 +116,11 @@ def limit_views(capture: Capture, count: int) -> Capture:
     return replace(capture, used=tuple(index in chosen for index in range(capture.count)))
 
 
-def _mean(values: np.ndarray, block: int) -> np.ndarray:
-    """Average (H, W, C) over complete square blocks."""
-    height, width = (length // block for length in values.shape[:2])
-    blocks = values[: height * block, : width * block].reshape(height, block, width, block, -1)
-    return blocks.mean(axis=(1, 3), dtype=np.float32)
-
-
 def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
     """Average the finite pixels of blocks; NaN for blocks without any."""
     usable = np.isfinite(image).all(axis=2, keepdims=True)
-    share = _mean(usable, block)
-    total = _mean(np.where(usable, image, 0), block)
+    share = block_means(usable, block, block)
+    total = block_means(np.where(usable, image, 0), block, block)
     return np.where(share > 0, total / np.maximum(share, 1e-30), np.nan).astype(np.float32)
 
 
