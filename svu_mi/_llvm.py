@@ -3,7 +3,7 @@
 Dr.Jit 1.5 accepts LLVM 15 and 16, but on x86-64 these abort the whole process at the first
 minimum or maximum ("Cannot select ... fminimum"). ``bootstrap`` therefore points
 ``DRJIT_LIBLLVM_PATH`` at a library of version 17 or later. It searches in this order: the user's
-variable, the system, conda, Homebrew, the karellen-llvm-core wheel.
+variable, the system, conda, Homebrew, Windows, the karellen-llvm-core wheel.
 
 Dr.Jit loads its library on import. If it was imported first and loaded a library that aborts,
 ``import svu_mi`` raises an error if an LLVM variant is set. Otherwise ``require`` raises it before
@@ -30,7 +30,7 @@ REFUSED = "refused-by-svu_mi:"
 FIRST_ACCEPTED = 15  # by Dr.Jit 1.5
 FIRST_GOOD_X86 = 17  # older ones cannot lower llvm.minimum and llvm.maximum on x86-64
 RUNTIME = ("libunwind.so.1.0", "libc++abi.so.1.0", "libc++.so.1.0")  # in loading order
-NAME = re.compile(r"libLLVM(?:[-.](\d[\d.]*))?\.(?:so(?:\.(\d[\d.]*))?|dylib)")
+NAME = re.compile(r"libLLVM(?:[-.](\d[\d.]*))?\.(?:so(?:\.(\d[\d.]*))?|dylib)|LLVM-C\.dll")
 
 Version = tuple[int, ...]
 
@@ -43,8 +43,8 @@ class LlvmStatus:
         path: path of the library; None if missing, or if Dr.Jit selected it.
         version: version such as (19, 1, 7); only (19,) or (19, 1) before Dr.Jit is loaded, () if
             unknown.
-        source: ``user``, ``system``, ``conda``, ``brew``, ``wheel``, ``drjit`` (selected by
-            Dr.Jit, which was imported before svu_mi) or ``none``.
+        source: ``user``, ``system``, ``conda``, ``brew``, ``windows``, ``wheel``, ``drjit``
+            (selected by Dr.Jit, which was imported before svu_mi) or ``none``.
         problem: reason why LLVM variants cannot run, with the remedy; None if they can.
     """
 
@@ -92,6 +92,8 @@ def remedy() -> str:
     """Return installation instructions for this system, as the end of a sentence."""
     if sys.platform == "darwin":
         return "use the variant metal_ad_rgb, or run 'brew install llvm'."
+    if sys.platform == "win32":
+        return f"install LLVM and set {VARIABLE} to ...\\LLVM-C.dll (the file, not the folder)."
     wheel = f"run 'pip install {WHEEL}', or " if is_x86() else ""
     return (
         f"{wheel}install LLVM {first_good()} or newer: 'apt install libllvm19' (Debian, Ubuntu), "
@@ -256,9 +258,15 @@ def _cause(path: str | None) -> str:
 
 def find_candidates() -> Iterator[tuple[str, str]]:
     """Yield (source, path) of library files, the preferred first; later ones are slower to find."""
+    conda = os.environ.get("CONDA_PREFIX")
+    if sys.platform == "win32":
+        if conda:
+            yield from newest_first("conda", [os.path.join(conda, "Library", "bin")])
+        yield from newest_first("windows", [r"C:\Program Files\LLVM\bin"])
+        return
     if sys.platform.startswith("linux"):
         yield from newest_first("system", _linux_folders())
-    if conda := os.environ.get("CONDA_PREFIX"):
+    if conda:
         yield from newest_first("conda", [os.path.join(conda, "lib")])
     if sys.platform == "darwin":
         for root in ("/opt/homebrew/opt", "/usr/local/opt"):

@@ -74,7 +74,7 @@ def test_gate_reports_why_a_chosen_library_failed(machine, tmp_path):
 
 @pytest.mark.parametrize(
     ("platform", "words"),
-    [("linux", "apt install"), ("darwin", "brew install llvm")],
+    [("linux", "apt install"), ("darwin", "brew install llvm"), ("win32", "LLVM-C.dll")],
 )
 def test_remedy_fits_the_operating_system(monkeypatch, platform, words):
     monkeypatch.setattr(sys, "platform", platform)
@@ -178,6 +178,7 @@ def test_wheel_is_found_where_its_record_says(machine, tmp_path):
         ("/opt/homebrew/Cellar/llvm@19/19.1.7/lib/libLLVM.dylib", (19, 1, 7)),
         ("/conda/lib/libLLVM.18.1.dylib", (18, 1)),
         ("/usr/lib/libLLVM.so", ()),
+        ("C:/LLVM/bin/LLVM-C.dll", ()),
     ],
 )
 def test_versions_that_paths_state(path, version):

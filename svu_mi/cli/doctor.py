@@ -68,6 +68,7 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
     variants = child_facts.get("variants", [])
     usable = [name for name in variants if _can_run(name, child_facts["backends"], llvm)]
     library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
+    usual = Path(tempfile.gettempdir()) / "drjit" if sys.platform == "win32" else "~/.drjit"
     facts = {
         "System": f"{platform.system()} {platform.release()} {platform.machine()}",
         "Python": f"{platform.python_version()} ({sys.executable})",
@@ -78,7 +79,7 @@ def diagnose() -> tuple[Facts, list[HealthCheck]]:
         "LLVM": f"{library}: not usable. {llvm.problem}" if llvm.problem else library,
         **child_facts.get("devices", {}),
         "Threads": str(child_facts.get("threads", 0)),
-        "Kernel cache": os.environ.get("DRJIT_CACHE_DIR", "~/.drjit"),
+        "Kernel cache": os.environ.get("DRJIT_CACHE_DIR", str(usual)),
     }
     return facts, [check_packages(versions), loading, *check_renders(usable, llvm), check_exr()]
 
@@ -155,7 +156,7 @@ def collect_facts() -> None:
     there = [kind for kind in kinds if dr.has_backend(getattr(dr.JitBackend, kind))]
     backends = [kind.upper() for kind in there]
     with suppress(OSError):
-        ctypes.CDLL("libnvoptix.so.1")
+        ctypes.CDLL("nvoptix.dll" if sys.platform == "win32" else "libnvoptix.so.1")
         there.append("OptiX")
     devices = {
         name: "present" if name in there else "absent" for name in ("CUDA", "OptiX", "Metal")

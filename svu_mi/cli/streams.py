@@ -61,7 +61,7 @@ def forgiving_streams() -> Iterator[None]:
     """Let ``sys.stdout`` and ``sys.stderr`` ignore write errors within the block."""
     _open_standard_files()
     for descriptor in (1, 2):  # a slow reader of a non-blocking pipe would lose output
-        with suppress(OSError):
+        with suppress(OSError, AttributeError):  # not on Windows
             os.set_blocking(descriptor, True)
     before = sys.stdout, sys.stderr
     with ExitStack() as opened:

@@ -7,7 +7,6 @@ its estimate in the runs of ``tests/support/announced.py``.
 """
 
 import os
-import resource
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,6 +15,11 @@ from math import inf
 from pathlib import Path, PurePosixPath
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
 
 PROCESS = Path("/proc/self")
 MEMINFO = Path("/proc/meminfo")
@@ -327,6 +331,8 @@ def resident() -> int:
 
 def address_space() -> tuple[int, int] | None:
     """Return (limit, use) of the address space in bytes; None without ``ulimit -v``."""
+    if resource is None:
+        return None
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
     return None if most in (-1, resource.RLIM_INFINITY) else (most, held("VmSize") or 0)
 
@@ -341,7 +347,7 @@ def held(name: str) -> int | None:
 
 def physical_memory() -> int | None:
     """Return the main memory of the machine in bytes; None if the system does not provide it."""
-    with suppress(OSError, ValueError):
+    with suppress(OSError, ValueError, AttributeError):  # not on Windows
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return None
 

@@ -71,6 +71,7 @@ COMMANDS = ("entropy", "check", "guide", "recover", "report", "export", "import"
 GONE = "svu: The working directory cannot be used (No such file or directory); change to another"
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="nobody can remove it there")
 def test_a_working_directory_that_is_gone_is_one_sentence(tmp_path, capsys, monkeypatch):
     from svu_mi.cli.main import main
 
@@ -85,6 +86,7 @@ def test_a_working_directory_that_is_gone_is_one_sentence(tmp_path, capsys, monk
         assert error.startswith(GONE) and error.count("\n") == 1
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="nobody can remove it there")
 def test_help_needs_no_working_directory(tmp_path):
     script = f'mkdir gone; cd gone; rmdir ../gone; exec "{sys.executable}" -m svu_mi --help'
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True)

@@ -313,7 +313,9 @@ def last_sentence(said: str) -> str:
 
 
 def _wait_for(process: subprocess.Popen[bytes]) -> tuple[int, int]:
-    """Return the exit status of a process, and its peak memory in bytes."""
+    """Return the exit status of a process, and its peak memory in bytes (0 if unknown)."""
+    if not hasattr(os, "wait4"):  # Windows
+        return process.wait(), 0
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     unit = 1 if sys.platform == "darwin" else KILOBYTE

@@ -1,10 +1,8 @@
 """Writable folders, atomic replacement of files, marks in headers, JSON, open-file limits."""
 
 import contextlib
-import fcntl
 import json
 import os
-import resource
 import secrets
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -13,6 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi.errors import CaptureError, OutputError, SvuError, excerpt
+
+try:
+    import fcntl
+    import resource
+except ImportError:  # Windows
+    fcntl = resource = None  # type: ignore[assignment]
 
 MAX_RATIO, FREE = 2000, 2**26  # largest compression ratio; bytes that are always accepted
 OURS = ".svu-"  # part of the names of hidden temporary files and folders
@@ -101,7 +105,7 @@ def _lock(descriptor: int) -> bool:
     """Lock an open file until it is closed; return False if that is not possible."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:  # locked elsewhere, or no lock support
+    except (OSError, AttributeError):  # locked elsewhere, or no lock support
         return False
     return True
 
@@ -183,6 +187,8 @@ def read_json(path: Path) -> Any:
 
 def require_files(more: int) -> None:
     """Raise the limit of open files (usually 256 or 1024) if ``more`` files exceed it."""
+    if resource is None:
+        return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or (count := _open_files(soft) + more) <= soft:
         return

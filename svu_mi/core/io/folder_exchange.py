@@ -8,7 +8,6 @@ on the draft. If the system cannot exchange two folders in one step, the older o
 import contextlib
 import ctypes
 import errno
-import fcntl
 import logging
 import os
 import time
@@ -17,6 +16,11 @@ from pathlib import Path
 
 from svu_mi.core.identifiers import LONGEST, fits_file_name
 from svu_mi.errors import OutputError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 log = logging.getLogger(__name__)
 
@@ -87,7 +91,7 @@ def _acquire(draft: Path, target: Path, wait: float) -> int:
                 f"permissions of {target.parent}."
             ) from error
         taken = not _lock(descriptor, target)
-        if not taken and is_at(os.fstat(descriptor), draft):
+        if not taken and (fcntl is None or is_at(os.fstat(descriptor), draft)):
             return descriptor
         os.close(descriptor)  # locked, exchanged or removed by another writer
         if taken and time.monotonic() >= deadline:
@@ -98,12 +102,16 @@ def _acquire(draft: Path, target: Path, wait: float) -> int:
 
 
 def _open(folder: Path) -> int:
+    if fcntl is None:
+        return os.open(os.devnull, os.O_RDONLY)
     # The folder may be foreign: do not follow a link.
     return os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
 
 
 def _lock(descriptor: int, target: Path, *, wait: bool = False) -> bool:
     """Lock a folder; return False if another process holds the lock."""
+    if fcntl is None:
+        return True
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
