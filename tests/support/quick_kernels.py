@@ -11,6 +11,7 @@ import runpy
 import sys
 from pathlib import Path
 
+from support import idle_threads
 from svu_mi import _llvm  # comes before Dr.Jit
 
 OPTIONS = (  # of LLVM's code generator; a version that lacks one of them ignores all
@@ -32,6 +33,7 @@ def use() -> None:
     import drjit  # noqa: F401  # reads the variable, and loads LLVM
 
     os.environ[CACHE] = shared
+    idle_threads.sleep_soon()
     path = _llvm.status().path
     if path is not None:
         words = [b"svu_mi", *(option.encode() for option in OPTIONS)]
