@@ -35,6 +35,7 @@ from svu_mi.posterior.neighbor_error import distance_from_neighbors
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.prediction import FoldTest
+from svu_mi.posterior.sample_statistics import sample_factors, sample_statistics
 from svu_mi.posterior.support_error import may_stand, support_error
 from svu_mi.posterior.tiled import TiledKernel
 from svu_mi.posterior.work_plan import Plan
@@ -170,11 +171,9 @@ def with_metal_share(
 
 
 def gather_sums(inputs: EstimatorInputs, parts: Observed, switches: AngularPreset) -> Statistics:
-    return parts.statistics(
-        gathered_levels(inputs, switches), switches, inputs.plan.channels,
-        light_channels=inputs.plan.light_channels,
-        weighting=weighting_of(inputs.observed, switches),
-    )  # fmt: skip
+    plan = inputs.plan
+    model = parts.model(gathered_levels(inputs, switches), switches, plan.light_channels)
+    return sample_statistics(parts, model, plan.channels, weighting_of(inputs.observed, switches))
 
 
 def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
@@ -243,11 +242,9 @@ def _factors(
     inputs: EstimatorInputs, seen: Observed, switches: AngularPreset, texels: np.ndarray | None
 ) -> Factors:
     """Gather the statistics of texels (default: ``seen.seen``) and factorise them."""
-    return seen.factors(
-        gathered_levels(inputs, switches), switches, inputs.plan.channels,
-        light_channels=inputs.plan.light_channels, weighting=weighting_of(seen, switches),
-        texels=texels,
-    )  # fmt: skip
+    plan = inputs.plan
+    model = seen.model(gathered_levels(inputs, switches), switches, plan.light_channels, texels)
+    return sample_factors(seen, model, plan.channels, weighting_of(seen, switches))
 
 
 def weighting_of(seen: Observed, switches: AngularPreset) -> Weighting:

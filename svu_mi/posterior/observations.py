@@ -8,7 +8,6 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from math import inf
 from typing import Any
 
 import mitsuba as mi
@@ -17,14 +16,9 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import environment_of, has_lamps, lamps_of, require_light
-from svu_mi.capture.surroundings import (
-    Appearance,
-    mean_reflectance,
-    reflecting_shapes,
-    surroundings,
-)
+from svu_mi.capture.surroundings import reflecting_shapes, surroundings
 from svu_mi.capture.up_direction import up_direction
-from svu_mi.core.arrays import evenly_spaced, to_drjit
+from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
@@ -34,7 +28,7 @@ from svu_mi.geometry.packed_views import Views, pack_views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.geometry.shared_texels import shared_texels
-from svu_mi.geometry.texels import Texels, filled_image
+from svu_mi.geometry.texels import Texels
 from svu_mi.geometry.visibility import Visibility, trace_visibility
 from svu_mi.light.above_plane import above_plane
 from svu_mi.light.band_limited import Lighting, read_lighting
@@ -55,25 +49,18 @@ from svu_mi.posterior.kept_results import (
     restore_light_visibility,
     restore_visibility,
 )
-from svu_mi.presets import AngularPreset, AnyPreset, Fit, Preset, Skip
+from svu_mi.posterior.object_appearance import object_appearance
+from svu_mi.posterior.sample_statistics import sample_statistics
+from svu_mi.presets import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
-from svu_mi.statistics.censored import PASSES, find_best_models
-from svu_mi.statistics.cholesky_factors import Factors
-from svu_mi.statistics.gather_statistics import (
-    UNIFORM,
-    Weighting,
-    clipped_samples,
-    gather_statistics,
-    rounding_sums,
-)
-from svu_mi.statistics.statistics import LazyStatistics, Statistics
+from svu_mi.statistics.gather_statistics import UNIFORM, Weighting, rounding_sums
+from svu_mi.statistics.statistics import Statistics
 
 log = logging.getLogger(__name__)
 
 BRIGHTEST = 1e12  # maximum mean radiance, 1 / BRIGHTEST the minimum: squares fit single precision
 COARSE = 8  # number of fine light cells per coarse cell, on average
-REFLECTING = 1024  # number of texels from which the reflectance of unseen ones is estimated
 DARK = 1e-2  # radiance unit of black photographs, relative to the mean radiance of the light
 
 
@@ -182,7 +169,7 @@ class Observed:
     @cached_property
     def surface(self) -> TexelLanes:
         """Positions and normals of the texels in ``seen``: S lanes."""
-        return self._lanes(self.seen)
+        return self.lanes(self.seen)
 
     @cached_property
     def lane(self) -> np.ndarray:
@@ -231,7 +218,7 @@ class Observed:
             self._rays[key] = self.cache.recall(
                 "occlusion", key,
                 lambda: trace_light_visibility(
-                    self.views.scene, self._lanes(traced), tree, places, occluded=occluded
+                    self.views.scene, self.lanes(traced), tree, places, occluded=occluded
                 ),
                 pack_light_visibility,
                 partial(restore_light_visibility, tree=tree, place=places),
@@ -255,9 +242,26 @@ class Observed:
             return None
         key = "near", switches.bounces
         if key not in self._rays:
-            self._rays[key] = self._trace_near_light(switches, self.surface)
+            scene, integrator = self._surroundings(switches)
+            self._rays[key] = trace_near_light(
+                scene, integrator, self.surface, ray_count(len(self.seen)), switches.bounces
+            )
         near: NearLight = self._rays[key]
         return near
+
+    def _surroundings(self, switches: AngularPreset) -> tuple[Any, Any]:
+        """Return scene and integrator of ``surroundings``; cached."""
+        if switches.bounces and self.capture.flash is not None:
+            raise OptionError(
+                "Light that the object reflects onto itself is not supported with a flash; omit "
+                "--bounces."
+            )
+        key = "around", switches.bounces
+        if key not in self._of_light:
+            shown = object_appearance(self, switches) if switches.bounces else None
+            self._of_light[key] = surroundings(self.capture, shown)
+        around: tuple[Any, Any] = self._of_light[key]
+        return around
 
     def lamps(self, switches: AngularPreset) -> Lamps | None:
         """Return the light of lamps at S texels, traced on first use; None without lamps."""
@@ -279,43 +283,6 @@ class Observed:
         """Return whether R, G and B of the light are equal; other light than distant is not."""
         lit = self.lit_by_surfaces(switches) or has_lamps(self.capture)
         return self.distant_light.environment.grey and not lit
-
-    def _trace_near_light(self, switches: AngularPreset, surface: TexelLanes) -> NearLight:
-        if switches.bounces and self.capture.flash is not None:
-            raise OptionError(
-                "Light that the object reflects onto itself is not supported with a flash; omit "
-                "--bounces."
-            )
-        key = "around", switches.bounces
-        if key not in self._of_light:
-            shown = self.appearance(switches) if switches.bounces else None
-            self._of_light[key] = surroundings(self.capture, shown)
-        scene, integrator = self._of_light[key]
-        rays = ray_count(surface.count)
-        return trace_near_light(scene, integrator, surface, rays, switches.bounces)
-
-    def appearance(self, switches: AngularPreset) -> Appearance:
-        """Return mean radiance of seen texels; unseen ones get the object's mean reflectance."""
-        every = self._lanes(np.arange(self.texels.count))
-        radiance = self.visibility.mean_color(self.views, every)
-        seen = np.flatnonzero(self.coverage)
-        some = seen[evenly_spaced(len(seen), REFLECTING)]
-        irradiance = self._direct_irradiance(self._lanes(some), switches)
-        return Appearance(
-            filled_image(self.texels, radiance), mean_reflectance(radiance[some], irradiance)
-        )
-
-    def _direct_irradiance(self, surface: TexelLanes, switches: AngularPreset) -> np.ndarray:
-        """Return the irradiance of environment and lamps, (S, 3)."""
-        scene, occluded = self.views.scene, switches.occluded
-        tree, lamps = self.light_tree(switches.cells), lamps_of(self.capture.scene)
-        cells = trace_light_visibility(scene, surface, tree, occluded=occluded)
-        moments = cells.diffuse(surface, self.distant_light, 3)
-        total = np.stack([of_channel[0].numpy() for of_channel in moments], axis=-1)
-        if lamps:
-            near = trace_lamps(scene, lamps, surface, occluded=occluded).moments
-            total += np.stack([of_channel[0].numpy() for of_channel in near], axis=-1)
-        return total
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of S texels: an (S,) Float per channel, 3 or 1."""
@@ -339,94 +306,42 @@ class Observed:
         def part_of(light: Any) -> Any:
             return light if texels is None or light is None else light.subset(self.lane[texels])
 
-        surface, visibility = self.surface if texels is None else self._lanes(texels), None
+        surface = self.surface if texels is None else self.lanes(texels)
+        visibility, fitted = None, None
         if switches.traced:
             cells = self.light_visibility(switches.cells, occluded=switches.occluded)
             visibility = part_of(cells)
-        mirrored, fitted = self.mirrored(switches.fit, channels, texels), None
-        if mirrored is not None:
-            fitted = ShLobes.of(mirrored, alpha_from_roughness(roughness), switches)
-        if not switches.traced:
+        else:
             _ = self.lighting  # refuses lamps
+        if switches.fit is not None:
+            chosen = self.seen if texels is None else texels
+            mirrored = MirroredLight(self, switches.fit, channels, chosen)
+            fitted = ShLobes.of(mirrored, alpha_from_roughness(roughness), switches)
         light = IncidentLight(
             self.distant_light, visibility, channels, part_of(self.near_light(switches)),
             part_of(self.lamps(switches)), self.flash,
         )  # fmt: skip
         return ReflectionModel.of(surface, light, roughness, switches, fitted)
 
-    def mirrored(
-        self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
-    ) -> MirroredLight | None:
-        """Return the light that texels mirror into views; None without a fit."""
-        if fit is None:
-            return None
-        return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
-
     def statistics(
         self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, weighting: Weighting = UNIFORM,
-        texels: np.ndarray | None = None,
+        weighting: Weighting = UNIFORM, texels: np.ndarray | None = None,
     ) -> Statistics:  # fmt: skip
         """Gather the statistics of texels (default: ``seen``) over all photographs.
 
         ``channels`` is 3, or 1 for the mean of R, G and B. Saturated samples count as lower bounds
         (``censored``) if ``weighting`` has a finite kappa and no ``current``, else are ignored.
         """
-        model = self.model(roughness, switches, light_channels or channels, texels)
-        return self._with_clipped(model, channels, weighting)
-
-    def factors(
-        self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, weighting: Weighting = UNIFORM,
-        texels: np.ndarray | None = None,
-    ) -> Factors:  # fmt: skip
-        """Return the factors of ``statistics()``; sums are stored only with saturated samples."""
-        model = self.model(roughness, switches, light_channels or channels, texels)
-        if self._counts_clipped(weighting):
-            return self._with_clipped(model, channels, weighting).factor()
-        return self._gather(model, channels, weighting).factor()
+        model = self.model(roughness, switches, channels, texels)
+        return sample_statistics(self, model, channels, weighting)
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
         """Return the rounding variance, (S,) squared radiance; None if photographs are floats."""
         total = rounding_sums(self.views, self.visibility, self.surface, weighting)
         return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
 
-    def _with_clipped(
-        self, model: ReflectionModel, channels: int, weighting: Weighting
-    ) -> Statistics:
-        """Gather statistics in which saturated samples count as lower bounds."""
-        statistics = self._gather(model, channels, weighting).statistics()
-        clipped = self.clipped_coverage
-        if clipped is None or not self._counts_clipped(weighting):
-            return statistics
-        number = statistics.texel.numpy()
-        # Samples can be saturated in part of their pixels.
-        partly = (clipped[number] > 0) | (self.coverage[number] != statistics.views.numpy())
-        lanes = np.flatnonzero(partly)
-        if not len(lanes):
-            return statistics
-        # The sums of unsaturated samples stay the same in all passes.
-        plain, texels = statistics.subset(lanes), number[lanes].astype(np.int64)
-        model = self.model(model.roughness, model.switches, model.channels, texels)
-        samples = clipped_samples(self.views, self.visibility, model.surface)
-        combined = plain
-        for _ in range(PASSES):
-            models = replace(find_best_models(combined), samples=samples)
-            around = replace(weighting, models=models)
-            combined = plain + self._gather(model, channels, around).statistics()
-        return statistics.replaced(lanes, combined)
-
-    def _gather(
-        self, model: ReflectionModel, channels: int, weighting: Weighting
-    ) -> LazyStatistics:
-        mirrors = self.mirrors if model.reads_mirrors else None
-        return gather_statistics(self.views, self.visibility, model, mirrors, channels, weighting)
-
-    def _counts_clipped(self, weighting: Weighting) -> bool:
-        counts = weighting.current is None and weighting.kappa < inf
-        return self.clipped_coverage is not None and counts
-
-    def _lanes(self, texels: np.ndarray) -> TexelLanes:
+    def lanes(self, texels: np.ndarray) -> TexelLanes:
+        """Return positions and normals of (t,) texels."""
         return TexelLanes.of(self.texels, to_drjit(mi.UInt32, texels.astype(np.uint32)))
 
 

@@ -13,6 +13,7 @@ from svu_mi.posterior.estimate import Estimate
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
+from svu_mi.posterior.sample_statistics import sample_factors
 from svu_mi.presets import AngularPreset, preset
 from svu_mi.recovery.sh.likelihood import texel_moments, values_of
 from svu_mi.recovery.svbrdf_textures import Textures, lay_out
@@ -90,7 +91,8 @@ def _reweighted(estimated: Estimate, observed: Observed) -> Posterior[Calibrated
     texels = factors.texel.numpy()
     texels = texels[observed.coverage[texels] > 0]  # re-weighting ignores saturated samples
     weighting = Weighting(switches.kappa(observed.unit), switches.edges, values_of(means, texels))
-    sums = observed.factors(factors.roughness, switches, 3, weighting=weighting, texels=texels)
+    model = observed.model(factors.roughness, switches, 3, texels)
+    sums = sample_factors(observed, model, 3, weighting)
     return calibrated_posterior(
         sums,
         posterior.kernel.grid,

@@ -21,6 +21,7 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.near_light import DEGREE, trace_near_light
+from svu_mi.posterior.object_appearance import object_appearance
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection import near_lobes
@@ -150,7 +151,7 @@ def test_an_object_photographed_from_above_looks_from_below_as_it_does(tmp_path)
     sensors = sphere_sensors(ball, 8, (32, 32), lowest=0.6)
     images = render_views(scene, sensors, 64)
     capture = memory_capture(scene, images, sensors, shape=ball, mesh=ball)
-    appearance = observe(capture, svu.texels(ball, 32)).appearance(angular())
+    appearance = object_appearance(observe(capture, svu.texels(ball, 32)), angular())
     assert 0.2 < appearance.unseen.mean() < 0.6
     np.testing.assert_allclose(appearance.reflectance, [0.5, 0.3, 0.2], rtol=0.05)
     likeness, integrator = surroundings(capture, appearance)

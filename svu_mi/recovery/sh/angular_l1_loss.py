@@ -144,15 +144,15 @@ def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObj
     Raises:
         OptionError: The preset has no fit of light.
     """
-    visibility, texels = observed.visibility, observed.texels
-    channels = 1 if observed.lighting.environment.grey else 3
-    seen = np.flatnonzero(observed.coverage)
-    light = observed.mirrored(switches.fit, channels, seen)
-    if light is None:
+    if switches.fit is None:
         raise OptionError(
             "The angular loss needs light that is fitted to every texel, but preset "
             f"{switches.name!r} has no fit; use preset('paper', method='angular')."
         )
+    visibility, texels = observed.visibility, observed.texels
+    channels = 1 if observed.lighting.environment.grey else 3
+    seen = np.flatnonzero(observed.coverage)
+    light = MirroredLight(observed, switches.fit, channels, seen)
     selection = to_drjit(mi.UInt32, seen.astype(np.uint32))
     surface = TexelLanes.of(texels, selection)
     diffuse = moment_map(observed.lighting.environment, channels)
