@@ -1,4 +1,4 @@
-"""Specular lobes of lamps: sums over their cells with the exact BRDF.
+"""Reflection of lamps and of a flash: sums over their cells with the exact BRDF.
 
 Cells may be larger than narrow lobes. GGX is widened by the half-angle of the cell, which conserves
 energy and hides gaps between cells: alpha^2 + rho^2 / 4, as the half vector turns half as far.
@@ -7,9 +7,13 @@ energy and hides gaps between cells: alpha^2 + rho^2 / 4, as the half vector tur
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.light.band_limited import diffuse_moments
+from svu_mi.light.flash_light import FlashCell, FlashLight
 from svu_mi.light.lamps import Lamps
 from svu_mi.reflection.lobes import Normals, widened_ggx
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums
@@ -28,3 +32,37 @@ class LampLobes:
         sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
         cells, every = self.lamps.seen_from(lane), mi.Bool(True)
         return sums.of_cells(cells, self.lamps.number, every, cosine)
+
+
+@dataclass(frozen=True)
+class FlashLobes:
+    """Diffuse reflection and lobes under a flash, whose direction differs between views."""
+
+    light: FlashLight
+    channels: int
+    alpha: np.ndarray
+
+    def moments(self, surface: TexelLanes, cell: FlashCell) -> list[list[Any]]:
+        """Return the diffuse moments (``LightVisibility.diffuse``): 8 Floats per channel."""
+        cosine = dr.maximum(dr.dot(surface.normal, cell.direction), 0)
+        values = cell.light(0, self.channels)
+        return [diffuse_moments(value, cosine, cell.direction) for value in values]
+
+    def retroreflection(
+        self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any
+    ) -> list[Any]:  # fmt: skip
+        """Return the term R^2 F_o F_i / pi, without roughness^2, that ``diffuse_shading`` lacks.
+
+        It matters near the camera only, where the lamp is.
+        """
+        incident = dr.maximum(dr.dot(surface.normal, cell.direction), 0)
+        towards = dr.square(1 + dr.dot(direction, cell.direction))
+        both = incident * ((1 - incident) * (1 - cosine)) ** 5 * towards / np.pi
+        return [value * both for value in cell.light(0, self.channels)]
+
+    def reflect(
+        self, normals: Normals, cell: FlashCell, direction: Any, cosine: Any
+    ) -> list[Lobe]:  # fmt: skip
+        """Return the light that each lobe reflects towards the camera."""
+        sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
+        return sums.of_cells(cell, dr.opaque(mi.UInt32, 1), mi.Bool(True), cosine)

@@ -14,8 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
-from svu_mi.geometry.sample_view import TexelLanes, fold, mirror_direction
+from svu_mi.core.arrays import fold, to_drjit
+from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.light.near_light import DEGREE, NearLight
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.albedo_table import AlbedoTable
@@ -120,7 +120,7 @@ class NearLobes:
 
         zero = dr.zeros(mi.Float, surface.count)
         rays = dr.opaque(mi.UInt32, len(widths) * -(-FEWEST // len(widths)))
-        sums = fold(mi.UInt32(0), rays, add, *[zero] * (5 * len(widths)))
+        sums = fold(0, rays, add, *[zero] * (5 * len(widths)))
         return [[x / dr.maximum(sums[5 * k], FAINT) for x in sums[5 * k + 1 : 5 * k + 5]]
                 for k in lobe.tolist()]  # fmt: skip
 

@@ -19,8 +19,7 @@ from svu_mi.light.lamps import Lamps
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
-from svu_mi.reflection.flash_lobes import FlashLobes
-from svu_mi.reflection.lamp_lobes import LampLobes
+from svu_mi.reflection.lamp_lobes import FlashLobes, LampLobes
 from svu_mi.reflection.lobes import Normals
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes

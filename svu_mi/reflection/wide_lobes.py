@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.geometry.sample_view import fold
+from svu_mi.core.arrays import fold
 from svu_mi.light.light_tree import LightCells, LightTree
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.reflection.lobes import Normals, blurred_ggx, dielectric_fresnel, smith_g1
@@ -93,7 +93,7 @@ class LobeSums:
             )  # fmt: skip
             return cell + 1, sums
 
-        (sums,) = fold(mi.UInt32(0), count, add, self.zeros())
+        (sums,) = fold(0, count, add, self.zeros())
         return self.lobes(sums, cosine)
 
     def lobes(self, sums: list[Any], cosine: Any) -> list[Lobe]:
@@ -171,7 +171,7 @@ class _Traversal:
         """Return local memory with indices in ``tree.every``, and their number."""
         listed = dr.alloc_local(mi.UInt32, self.tree.fine.number + ROOM)
         count = 0 * self.place
-        listed, count = fold(mi.UInt32(0), self.tree.coarse.count, self._coarse, listed, count)
+        listed, count = fold(0, self.tree.coarse.count, self._coarse, listed, count)
         return listed, count
 
     def _coarse(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:

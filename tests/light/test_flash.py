@@ -24,7 +24,7 @@ from svu_mi.errors import CaptureError, OptionError, SceneError
 from svu_mi.light.flash_light import FlashCell, FlashLight
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
-from svu_mi.reflection.flash_lobes import FlashLobes
+from svu_mi.reflection.lamp_lobes import FlashLobes
 from svu_mi.reflection.lobes import Normals
 
 FLASH = Flash((-0.6, 0.2, 0.1), (60.0, 40.0, 50.0))
