@@ -1,6 +1,6 @@
-"""Conversion of NumPy arrays to Dr.Jit; evenly spaced indices and directions."""
+"""Conversion of NumPy arrays to Dr.Jit; loops of kernels; evenly spaced indices and directions."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -58,6 +58,13 @@ def tensor(
     if not fits:
         raise ShapeError(f"{caller}: {name} must have shape ({wanted}), got {tuple(out.shape)}.")
     return out
+
+
+def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
+    """Loop ``number, *state = body(number, *state)`` from ``start`` to ``end``."""
+    return dr.while_loop(
+        state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
+    )[1:]
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:

@@ -11,6 +11,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.core.arrays import fold
+
 Block = list[Any]
 """Numbers of one block, as Dr.Jit arrays."""
 
@@ -45,9 +47,8 @@ def filled(number: int, read: Callable[[Any], Block]) -> list[Any]:
         return k + 1, memory
 
     first = read(mi.UInt32(0))
-    start = (mi.UInt32(0), allocate(type(first[0]), len(first), number))
-    memory: list[Any] = dr.while_loop(start, lambda k, _: k < number, fill)[1]
-    return memory
+    (memory,) = fold(0, number, fill, allocate(type(first[0]), len(first), number))
+    return list(memory)
 
 
 def zeros(Float: type, entries: int, number: int) -> list[Any]:

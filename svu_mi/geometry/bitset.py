@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 
 WORD = 32
 
@@ -84,8 +84,7 @@ class Bits:
             word = dr.gather(mi.UInt32, self.words, row * self.stride + lane)
             return row + 1, total + dr.popcnt(word)
 
-        start = (mi.UInt32(0), dr.zeros(mi.UInt32, lanes))
-        total = dr.while_loop(start, lambda row, _: row < rows, add)[1]
+        (total,) = fold(0, rows, add, dr.zeros(mi.UInt32, lanes))
         return np.asarray(total.numpy(), np.int64)
 
     def test(self, number: Any, lane: Any) -> Any:

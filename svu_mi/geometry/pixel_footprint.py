@@ -6,6 +6,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.core.arrays import fold
 from svu_mi.geometry.packed_views import CAMERA_FLOATS, Views
 
 SPACING = 1.5  # pixels between look-ups; about the width of a bilinear filter
@@ -157,8 +158,8 @@ def mean_over_texel(
                 parts = (parts[0] + w * over,)
         return tap + 1, weight, total, squares, *parts
 
-    zeros = (mi.UInt32(0), mi.Float(0), black(), mi.Float(0), *([black()] if clipped else []))
-    _, weight, total, squares, *parts = dr.while_loop(zeros, lambda tap, *_: tap < number, add)
+    zeros = (mi.Float(0), black(), mi.Float(0), *([black()] if clipped else []))
+    weight, total, squares, *parts = fold(0, number, add, *zeros)
     alone = interpolate(views, *_bilinear(camera, x, y), seen & (weight == 0))
     total, inverse = dr.select(weight > 0, total, alone), dr.rcp(dr.select(weight > 0, weight, 1))
     mean = inverse * total

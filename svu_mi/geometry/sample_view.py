@@ -11,6 +11,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.core.arrays import fold
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import (
     black,
@@ -216,11 +217,4 @@ def over_views(
     def body(view: Any, *state: Any) -> tuple[Any, ...]:
         return (view + 1, *consume(sample_view(views, surface, view, dense=dense), view, *state))
 
-    return fold(mi.UInt32(0), views.count, body, *state)
-
-
-def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Loop ``number, *state = body(number, *state)`` from ``start`` to ``end``."""
-    return dr.while_loop(
-        state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
-    )[1:]
+    return fold(0, views.count, body, *state)

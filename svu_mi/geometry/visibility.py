@@ -9,14 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
 from svu_mi.geometry.sample_view import (
     TexelLanes,
     ViewSample,
-    fold,
     needs_work,
     over_views,
     sample_visible,
@@ -116,7 +115,7 @@ class Visibility:
             seen = self.sample(views, surface, slot, clipped=clipped, among=among)
             return (slot + 1, *consume(seen, slot, *state))
 
-        return fold(mi.UInt32(0), self.count, body, *state)
+        return fold(0, self.count, body, *state)
 
 
 def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:

@@ -19,6 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import fold
 from svu_mi.guidance.predicted_responses import Responses
 from svu_mi.guidance.spectral_forecast import (
     SpectrumForecast,
@@ -137,6 +138,6 @@ class _WeightedHypotheses(SpectrumHypotheses):
             return number + 1, lower, dr.fma(dr.exp(-old), total, dr.exp(-new))
 
         count = dr.width(self._texel)
-        start = (mi.UInt32(0), dr.full(mi.Float64, 1e300, count), dr.zeros(mi.Float, count))
-        _, least, total = dr.while_loop(start, lambda number, *_: number < self.hypotheses, add)
+        start = dr.full(mi.Float64, 1e300, count), dr.zeros(mi.Float, count)
+        least, total = fold(0, self.hypotheses, add, *start)
         return least, total

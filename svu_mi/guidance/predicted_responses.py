@@ -13,10 +13,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import fold
 from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
 from svu_mi.errors import OptionError
 from svu_mi.geometry.packed_views import Views
-from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, over_views, sample_visible
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample, over_views, sample_visible
 from svu_mi.geometry.visibility import Visibility
 
 ResponseFunction = Callable[[ViewSample, Any], list[Any]]
@@ -122,7 +123,7 @@ def collect_responses(
         lambda seen, slot: record(seen, dr.gather(mi.UInt32, visibility.order, slot)), (),
     )  # fmt: skip
     dr.eval(responses.rest)
-    fold(mi.UInt32(0), candidates.count, of_candidate)
+    fold(0, candidates.count, of_candidate)
     dr.eval(responses.rest)
     return responses
 

@@ -13,8 +13,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
-from svu_mi.geometry.sample_view import TexelLanes, fold
+from svu_mi.core.arrays import fold, to_drjit
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import MOMENTS, diffuse_moments
 
 APART = 0.06  # angular distance of the cells of an area light, as seen from the object
@@ -95,7 +95,7 @@ def trace_lamps(scene: Any, lamps: Sequence[Any], surface: TexelLanes, *, occlud
             added = [x for value in light for x in diffuse_moments(value, cosine, direction)]
             return (cell + 1, *(a + b for a, b in zip(sums, added, strict=True)))
 
-        sums = list(fold(mi.UInt32(0), dr.opaque(mi.UInt32, side * side), add, *sums))
+        sums = list(fold(0, dr.opaque(mi.UInt32, side * side), add, *sums))
         dr.eval(toward, flux, sums)
         first += side * side
     moments = [sums[k : k + MOMENTS] for k in range(0, len(sums), MOMENTS)]

@@ -13,11 +13,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.packed_views import Views
 from svu_mi.geometry.pixel_footprint import as_channels
-from svu_mi.geometry.sample_view import TexelLanes, ViewSample, fold, mirror_direction
+from svu_mi.geometry.sample_view import TexelLanes, ViewSample, mirror_direction
 from svu_mi.geometry.visibility import Visibility
 from svu_mi.light.band_limited import MOMENTS, Lighting, diffuse_moments
 from svu_mi.light.light_tree import LightTree
@@ -61,7 +61,7 @@ class LightVisibility:
             return (cell + 1, *(old + new for old, new in zip(state, added, strict=True)))
 
         zero = dr.zeros(mi.Float, surface.count)
-        sums = fold(mi.UInt32(0), cells.count, add, *[zero] * (channels * (MOMENTS + 1)))
+        sums = fold(0, cells.count, add, *[zero] * (channels * (MOMENTS + 1)))
         known, result = as_channels(lighting.irradiance(surface.normal), channels), []
         for channel, irradiance in enumerate(known):
             first = channel * (MOMENTS + 1)
@@ -123,7 +123,7 @@ def trace_light_visibility(
         return (group + 1, word, *fold(start, end, inherit, below_word))
 
     none = dr.zeros(mi.UInt32, count)
-    fold(mi.UInt32(0), tree.group_count, trace_group, none, none)
+    fold(0, tree.group_count, trace_group, none, none)
     dr.eval(coarse, fine)
     return LightVisibility(tree, coarse, fine, lane if place is None else place)
 

@@ -13,9 +13,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.core.local_memory import scatter_strided
-from svu_mi.geometry.sample_view import TexelLanes, fold
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import MOMENTS, diffuse_moments
 
 DEGREE = 6
@@ -111,7 +111,7 @@ def trace_near_light(
         return (ray + 1, sampler, *(a + b for a, b in zip(sums, added, strict=True)))
 
     size, zero = PARTS * len(EVEN), dr.zeros(mi.Float, count)
-    _, *sums = fold(mi.UInt32(0), number, add, sampler, *[zero] * (size + 3 * MOMENTS))
+    _, *sums = fold(0, number, add, sampler, *[zero] * (size + 3 * MOMENTS))
     sums = [2 * np.pi * step * total for total in sums]
     lanes = dr.opaque(mi.UInt32, count)
     values = scatter_strided(dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes)

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.core.local_memory import load, scatter_strided, store, zeros
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
@@ -37,11 +37,9 @@ def min_energy(problem: CalibratedProblem, *, excess: bool = False) -> Any:
                 return column + 1, integrator.excess(U, row, column, best)
             return column + 1, dr.minimum(best, integrator.energy(U, column))
 
-        inner = dr.while_loop((mi.UInt32(0), best), lambda k, _: k < columns, of_column)
-        return row + 1, inner[1]
+        return row + 1, *fold(0, columns, of_column, best)
 
-    start = dr.full(mi.Float, dr.inf, problem.factors.count)
-    best = dr.while_loop((mi.UInt32(0), start), lambda row, _: row < nodes, of_row)[1]
+    (best,) = fold(0, nodes, of_row, dr.full(mi.Float, dr.inf, problem.factors.count))
     dr.eval(best)
     return best
 
@@ -157,9 +155,8 @@ class BinMasses:
             best.add(sum(groups[0]), first + column, [_largest(group) for group in groups])
             return column + 1, bins, best
 
-        return dr.while_loop(
-            (mi.UInt32(0), self, best), lambda column, *_: column < end, of_column
-        )[1:]
+        bins, best = fold(0, end, of_column, self, best)
+        return bins, best
 
     def finish(self, column: Any) -> list[Any]:
         """Clear the bins of a bin of the mixing parameters; return their masses."""
@@ -379,5 +376,5 @@ def _write(
             dr.scatter(target, value, index, mode=dr.ReduceMode.NoConflicts)
         return k + 1, memory
 
-    dr.while_loop((mi.UInt32(0), memory), lambda k, _: k < end, write)
+    fold(0, end, write, memory)
     return target

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.posterior.quadrature import QuadratureAxis
 from svu_mi.statistics.texel_blocks import BLOCK, texel_offset
 
@@ -44,7 +44,7 @@ def shortest_interval(
         return part + 1, total + mass(part)
 
     zero = dr.zeros(mi.Float, count)
-    total = dr.while_loop((mi.UInt32(0), zero), lambda part, _: part < number, add)[1]
+    (total,) = fold(0, number, add, zero)
     # With rounding errors, the sum of all parts may be less than the total.
     wanted = total * dr.minimum(dr.opaque(mi.Float, level), 1 - 1e-6)
 

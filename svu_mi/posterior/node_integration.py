@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.core.local_memory import filled, load
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
@@ -69,7 +69,7 @@ class NodeIntegrator:
     ) -> tuple[Any, ...]:  # fmt: skip
         """Fold over all nodes (see ``fold_rows``)."""
         end = dr.opaque(mi.UInt32, self.problem.roughness.count)
-        return self.fold_rows(mi.UInt32(0), end, visit, state, end_row)
+        return self.fold_rows(0, end, visit, state, end_row)
 
     def fold_rows(
         self, begin: Any, end: Any, visit: Callable[..., Any], state: tuple[Any, ...],
@@ -95,15 +95,10 @@ class NodeIntegrator:
                 )  # fmt: skip
                 return (column + 1, *state)
 
-            state = dr.while_loop(
-                state=(mi.UInt32(0), *state), body=of_column,
-                cond=lambda column, *_: column < self._columns,
-            )[1:]  # fmt: skip
+            state = fold(0, self._columns, of_column, *state)
             return (row + 1, *(end_row(row, *state) if end_row else state))
 
-        return dr.while_loop(
-            state=(mi.UInt32(begin), *state), cond=lambda row, *_: row < end, body=body
-        )[1:]
+        return fold(begin, end, body, *state)
 
     def entries(self, row: Any) -> list[list[Any]]:
         """Return the factors of each channel at a row, in units of noise."""

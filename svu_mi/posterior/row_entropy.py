@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.errors import OptionError, ShapeError
 
 FAR = 1e4  # upper bound of relative energies: exp(-FAR) is 0, and FAR * 0 is not NaN
@@ -41,12 +41,8 @@ def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any
         zx = old * dr.fma(drop, z, zx) + new * (rise + excess)
         return place + 1, lowest, dr.fma(old, z, new), zx
 
-    zero = dr.zeros(mi.Float, count)
-    _, _, z, zx = dr.while_loop(
-        state=(mi.UInt32(0), dr.full(mi.Float64, 1e300, count), zero, dr.zeros(mi.Float, count)),
-        cond=lambda place, *_: place < last,
-        body=body,
-    )
+    sums = (dr.zeros(mi.Float, count) for _ in range(2))
+    _, z, zx = fold(0, last, body, dr.full(mi.Float64, 1e300, count), *sums)
     return dr.clip(nats(z, zx) / float(np.log(total)), 0, 1)
 
 

@@ -18,6 +18,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.arrays import fold
+
 FLATTEST = 1e-3  # minimum of A, for unlit channels; changes energies by less than this
 HALVINGS = 24  # steps of the bisection in quantile()
 TINIEST = 1e-290  # minimum mass of a bin in double precision
@@ -247,9 +249,7 @@ class ChannelLikelihood:
             return step + 1, dr.select(below, middle, a), dr.select(below, b, middle)
 
         zero = dr.zeros(mi.Float64, dr.width(part))
-        _, a, b = dr.while_loop(
-            (mi.UInt32(0), low + zero, high + zero), lambda step, *_: step < HALVINGS, halve
-        )
+        a, b = fold(0, HALVINGS, halve, low + zero, high + zero)
         y = mi.Float(0.5 * (a + b))
         return dr.select(self.mirrored, 1 - y, y)
 

@@ -18,9 +18,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.geometry.bitset import Bits
-from svu_mi.geometry.sample_view import fold
 from svu_mi.parameters import MIXED
 from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.cholesky_factors import PAIRS
@@ -108,7 +107,7 @@ def find_best_models(statistics: Statistics) -> BestModels:
         return level + 1, dr.minimum(least, error)
 
     end = dr.opaque(mi.UInt32, levels)
-    (least,) = fold(mi.UInt32(0), end, search, dr.full(mi.Float64, dr.inf, count))
+    (least,) = fold(0, end, search, dr.full(mi.Float64, dr.inf, count))
     dr.eval(least, values)
     sigma = _noise(statistics, least.numpy(), weight.numpy())
     return BestModels(values, to_drjit(mi.Float, sigma.astype(np.float32)), channels)

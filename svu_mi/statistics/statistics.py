@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.principled import mixture
@@ -173,12 +173,11 @@ class Statistics:
                 held = group + 1 != without
                 return group + 1, total + dr.gather(mi.Float64, self.sums, source, held)
 
-            start = mi.UInt32(0), dr.zeros(mi.Float64, counts.size)
-            value = dr.while_loop(start, lambda group, _: group < end, add)[1]
+            (value,) = fold(0, end, add, dr.zeros(mi.Float64, counts.size))
             dr.scatter(sums, value, first + row * blocks.BLOCK, mode=dr.ReduceMode.NoConflicts)
             return (row + 1,)
 
-        dr.while_loop((mi.UInt32(0),), lambda row: row < rows, write)
+        fold(0, rows, write)
         dr.eval(sums)
         counts = to_drjit(mi.Float, counts.ravel())
         return replace(self, sums=sums, counts=counts, texel=lane)

@@ -14,8 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.calibration.light.light_samples import GRAZING, TexelSamples
-from svu_mi.core.arrays import fibonacci, to_drjit
-from svu_mi.geometry.sample_view import fold
+from svu_mi.core.arrays import fibonacci, fold, to_drjit
 from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
@@ -182,7 +181,7 @@ class Transport:
             normal, toward, seen = self._seen(lane, cell)
             return cell + 1, *dr.if_stmt((cell, normal, toward, sums), seen, add, lambda *x: x[-1:])
 
-        (sums,) = fold(mi.UInt32(0), self.count, add_visible, sums)
+        (sums,) = fold(0, self.count, add_visible, sums)
         values = [sums[k] for k in range(size)]
         dr.eval(values)
         table = np.stack([np.array(x, np.float64) for x in values])

@@ -7,7 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.core.validation import require, require_types
 from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
@@ -169,9 +169,7 @@ class GlobalSharing(Regularizer):
             return seed + 1, total, *moved
 
         start = (dr.zeros(mi.Float, self.estimate.texels.count) for _ in range(len(psi) + 1))
-        _, total, *pull = dr.while_loop(
-            state=(mi.UInt32(0), *start), cond=lambda seed, *_: seed < count, body=body
-        )
+        total, *pull = fold(0, count, body, *start)
         return total, pull
 
     def _add_seed_gradient(

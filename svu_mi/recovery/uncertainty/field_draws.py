@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
+from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.posterior import Posterior
@@ -34,8 +34,7 @@ def smooth_fields(number: int, place: Any, random: np.random.Generator) -> list[
             along = dr.dot(dr.gather(mi.Vector3f, w, first + wave), mi.Vector3f(place))
             return wave + 1, total + dr.cos(along + dr.gather(mi.Float, shift, first + wave))
 
-        start = (mi.UInt32(0), dr.zeros(mi.Float, dr.width(place)))
-        total = dr.while_loop(start, lambda wave, _: wave < WAVES, add)[1]
+        (total,) = fold(0, WAVES, add, dr.zeros(mi.Float, dr.width(place)))
         fields.append(float(np.sqrt(2 / WAVES)) * total)
     dr.eval(fields)
     return fields
