@@ -13,7 +13,6 @@ from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.strategy_inputs import StrategyInputs
 
-CHUNK = 8192  # texels per launch of a gain map
 MAP_SIZE = 128  # values along the longer side of a gain map; finer maps show sampling noise
 SHOWN_NAMES = 3  # proposals named by __repr__
 
@@ -115,29 +114,22 @@ class Guidance:
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
         proposed = Candidates.of([proposal.sensor for proposal in self.proposals])
         everywhere = replace(self._inputs, candidates=proposed, texels=np.arange(self.texels.count))
-        # Texels that no proposal sees gain nothing.
-        seen = everywhere.seen_by_candidates()
+        seen = everywhere.seen_by_candidates()  # other texels gain nothing
         shown = np.flatnonzero(seen.any(axis=0))
         first, block = self._blocks(shown)
-        gains = [
-            _texel_information_gain(replace(everywhere, texels=first[start : start + CHUNK]))
-            for start in range(0, len(first), CHUNK)
-        ]
-        if gains:
-            maps[:, shown] = np.concatenate(gains, axis=1)[:, block] * seen[:, shown]
+        if shown.size:
+            gains = _texel_information_gain(replace(everywhere, texels=first))
+            maps[:, shown] = gains[:, block] * seen[:, shown]
         return maps
 
     def _blocks(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Group (t,) texels in blocks; return one texel per block and each texel's block, (t,)."""
-        width, height = self.texels.resolution
-        side = -(-max(width, height) // MAP_SIZE)
+        side = -(-max(self.texels.resolution) // MAP_SIZE)
         row, column = texel_squares(self.texels)[chosen].T
-        of_block = row // side * width + column // side
+        of_block = row // side * MAP_SIZE + column // side
         _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
-        order = np.argsort(first)  # texel order: neighbours are close
-        place = np.empty(len(order), np.int64)
-        place[order] = np.arange(len(order))
-        return chosen[first[order]], place[block]
+        first, block = np.unique(first[block], return_inverse=True)  # in the order of texels
+        return chosen[first], block
 
     def image(self, proposal: int = 0) -> np.ndarray:
         """Return the gain of a proposal as an (H, W) float32 texture, 0 outside the charts.
@@ -155,8 +147,7 @@ class Guidance:
 
 def _texel_information_gain(inputs: StrategyInputs) -> np.ndarray:
     """Return every texel's information gain as candidates are added in order, (C, t)."""
-    known, count = inputs.photographs, inputs.candidates.count
-    forecast = inputs.forecast
+    known, count, forecast = inputs.photographs, inputs.candidates.count, inputs.forecast
     if forecast.is_separable:
         steps = forecast.cumulative(np.arange(known), known + np.arange(count))
         return steps[:-1] - steps[1:]

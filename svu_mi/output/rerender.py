@@ -100,9 +100,8 @@ def compare_renders(
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
     covered = SensorPixels(sensors).covered(capture.scene, capture.shape)
     inside = [part == 1 for part in covered]
-    under, lit = [None, novel_light(capture)] if relit else [None], []
-    for light in under:
-        lit.append(relight(capture, textures, light, sensors, spp, pixels=inside))
+    lights = [None, novel_light(capture)] if relit else [None]
+    lit = [relight(capture, textures, light, sensors, spp, pixels=inside) for light in lights]
     return [
         RenderComparison(
             view=view, name=capture.names[view],

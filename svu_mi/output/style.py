@@ -170,6 +170,7 @@ def frame_map(axes: "Axes") -> None:
 def draw_image(axes: "Axes", image: np.ndarray) -> None:
     """Draw a picture without axes."""
     axes.imshow(image)
+    axes.set(xticks=[], yticks=[])  # saves matplotlib from making ticks that it does not draw
     axes.set_axis_off()
 
 
