@@ -29,13 +29,28 @@ from svu_mi.statistics.gather_statistics import Values, flatten_values
 SD_FLOOR = 1e-2  # added to standard deviations in quadrature: limits the weight of a texel
 
 
+class TexelLoss:
+    """Mean of a loss over S texels. ``place``, (S,) UInt32: flat index of each in a texture."""
+
+    place: Any
+    _of: Callable[[Values], tuple[Any, Values]]  # returns (S,) losses, and derivatives
+
+    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
+        """Return the loss, a Float of width 1."""
+        values = look_up(textures, self.place)
+        with dr.suspend_grad():
+            loss, slopes = self._of(dr.detach(values))
+            dr.eval(loss, slopes)  # once, for both value and gradient
+        total = with_known_gradient(dr.sum(loss), flatten_values(slopes), flatten_values(values))
+        return total * dr.opaque(mi.Float, 1 / dr.width(self.place))
+
+
 @dataclass(frozen=True)
-class Likelihood:
+class Likelihood(TexelLoss):
     """Negative log-likelihood -log p(B | psi) in nats, mean over observed texels.
 
     Attributes:
         factors: Statistics of the S observed texels, as triangular factors.
-        place: (S,) UInt32, flat index of each texel in a texture.
         weight: (S,) Float, nats per mean squared error (squared radiance).
     """
 
@@ -48,28 +63,19 @@ class Likelihood:
         """Create the likelihood from the statistics and noise of an RGB posterior."""
         factors = posterior.kernel.problem.factors
         place = dr.gather(mi.UInt32, texels.index, factors.texel)
-        weight = nats_per_squared_error(posterior)
         dr.eval(place)
-        return Likelihood(factors, place, weight)
+        return Likelihood(factors, place, nats_per_squared_error(posterior))
 
-    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss, a Float of width 1."""
-        values = look_up(textures, self.place)
-        with dr.suspend_grad():
-            error, slopes = energy(self.factors, dr.detach(values))
-            error = self.weight * error
-            slopes = _map_values(lambda slope: self.weight * slope, slopes)
-            dr.eval(error, slopes)  # once, for both value and gradient
-        loss = with_known_gradient(dr.sum(error), flatten_values(slopes), flatten_values(values))
-        return loss * dr.opaque(mi.Float, 1 / self.factors.count)
+    def _of(self, values: Values) -> tuple[Any, Values]:
+        error, slopes = energy(self.factors, values)
+        return self.weight * error, _map_values(lambda slope: self.weight * slope, slopes)
 
 
 @dataclass(frozen=True)
-class QuadraticPrior:
+class QuadraticPrior(TexelLoss):
     """Weighted squared distance to posterior means, averaged over texels.
 
     Attributes:
-        place: (S,) UInt32, flat index of each texel in a texture.
         target: Posterior means.
         weight: Weights of the squared distances.
     """
@@ -108,18 +114,10 @@ class QuadraticPrior:
         place, chosen = dr.gather(mi.UInt32, texels.index, seen), seen.numpy()
         return QuadraticPrior(place, values_of(means, chosen), values_of(weights, chosen))
 
-    def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
-        """Return the loss, a Float of width 1; arguments as for ``Likelihood``."""
-        values = look_up(textures, self.place)
-        with dr.suspend_grad():
-            offsets = _map_values(lambda x, target: x - target, dr.detach(values), self.target)
-            loss = sum(
-                flatten_values(_map_values(lambda w, x: w * dr.square(x), self.weight, offsets))
-            )
-            slopes = _map_values(lambda w, x: 2 * w * x, self.weight, offsets)
-            dr.eval(loss, slopes)
-        total = with_known_gradient(dr.sum(loss), flatten_values(slopes), flatten_values(values))
-        return total * dr.opaque(mi.Float, 1 / dr.width(self.place))
+    def _of(self, values: Values) -> tuple[Any, Values]:
+        offsets = _map_values(lambda x, target: x - target, values, self.target)
+        loss = sum(flatten_values(_map_values(lambda w, x: w * dr.square(x), self.weight, offsets)))
+        return loss, _map_values(lambda w, x: 2 * w * x, self.weight, offsets)
 
 
 def nats_per_squared_error(posterior: Posterior[CalibratedKernel]) -> Any:
