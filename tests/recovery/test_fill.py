@@ -19,7 +19,7 @@ from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.geometry.neighbors import connected_components, neighbors
 from svu_mi.output.texture_files import read_textures, recovery_settings
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.inpaint import texel_hierarchy
+from svu_mi.recovery.inpaint import combine_predictors, texel_hierarchy
 from svu_mi.recovery.inpaint.combine_predictors import MEAN_WEIGHTS, TITLES, tv_predictions
 from svu_mi.recovery.inpaint.cross_validation import (
     TOLERANCE,
@@ -163,17 +163,28 @@ def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, en
     assert np.abs(off).max() < 0.04 and np.sqrt((off**2).mean()) < 0.01
 
 
+@pytest.mark.parametrize("title", MEAN_WEIGHTS)
+def test_known_values_far_from_holes_have_no_influence(monkeypatch, title: str) -> None:
+    hole = round_hole(240, 0.15)
+    graph, _ = sheet(240, hole, np.zeros_like(hole))
+    ((_, near),) = tv_predictions(graph, {title})
+    monkeypatch.setattr(combine_predictors, "SMOOTHED_BORDER", 240)
+    ((_, whole),) = tv_predictions(graph, {title})
+    np.testing.assert_allclose(near[:, hole], whole[:, hole], atol=1e-3)
+
+
 def test_groups_are_all_known_or_all_unknown() -> None:
     hole, alone = round_hole(41, 0.7), round_hole(41, 0.3)
     graph, _ = sheet(41, hole, alone)
     groups, owner = graph.halved
-    assert len(owner) == graph.count and owner.max() + 1 == groups.count < 0.4 * graph.count
+    count = len(groups.known)
+    assert len(owner) == len(graph.known) and owner.max() + 1 == count < 0.4 * len(owner)
     np.testing.assert_array_equal(groups.known[owner], graph.known)
     np.testing.assert_array_equal(groups.square[owner], graph.square // 2)
     np.testing.assert_array_equal(groups.size, np.bincount(owner))
     same = groups.pieces.piece[owner]
     assert len(set(zip(same, graph.pieces.piece, strict=True))) == len(set(same))
-    for group in np.random.default_rng(0).integers(groups.count, size=50):
+    for group in np.random.default_rng(0).integers(count, size=50):
         texels = owner == group
         assert 1 <= texels.sum() <= 4
         w, v = graph.weights[0, texels], graph.values[0, texels]
@@ -186,7 +197,7 @@ def test_groups_are_all_known_or_all_unknown() -> None:
         linked |= set(enumerate(np.array(column).tolist()))
     for column in graph.smoother.around:
         wanted |= set(zip(owner.tolist(), owner[np.array(column)].tolist(), strict=True))
-    own = {(group, group) for group in range(groups.count)}
+    own = {(group, group) for group in range(count)}
     assert linked - own == wanted - own
 
 
@@ -198,7 +209,7 @@ def test_values_spread_equally_over_groups_and_texels(monkeypatch, title: str) -
     ((_, fine),) = tv_predictions(graph, {title})
     groups, first = graph.halved
     groups, second = groups.halved
-    assert groups.count < graph.count / 12
+    assert len(groups.known) < len(graph.known) / 12
     ((_, coarse),) = tv_predictions(groups, {title})
     # A group spans a slope of 0.02, with a standard deviation of 0.006.
     assert np.sqrt(((coarse[:, second[first]] - fine)[:, hole] ** 2).mean()) < 0.008

@@ -14,6 +14,7 @@ MEAN_WEIGHTS = {"from the border": 1e-5, "cautiously from the border": 1e-2}
 """By title: precision of the prior at unknown texels, whose mean is the mean of known texels,
 relative to 1 / their variance. Larger values let borders spread less far into a hole."""
 EDGE_ROUNDS = 2  # rounds with links updated from the last result, which continue edges into holes
+SMOOTHED_BORDER = 48  # links from holes within which known values are smoothed; 16 are too few
 START_NEIGHBORS = 8  # nearest known texels whose weighted mean is the initial value
 
 
@@ -30,13 +31,19 @@ def tv_predictions(
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
     spread = np.maximum(values[:, known].std(axis=1), LEAST_SD)[:, None]
     border = np.bincount(graph.pieces.piece, known)[graph.pieces.piece] > 0
+    free = border & graph.near(~known, SMOOTHED_BORDER)  # other known values have no influence
+    part = np.flatnonzero(graph.near(free, 1))
+    links, own, free = graph.smoother.restricted(part), known[part], free[part]
     for title, filled, edges in _initial_values(graph, titles, border, mean):
-        trust = np.where(known, weights, MEAN_WEIGHTS[title] * graph.size / spread**2)
-        right = trust * np.where(known, values, mean)
-        for hidden in [None] if edges else [~known, *[None] * EDGE_ROUNDS]:
-            smoother = graph.smoother.with_precision(trust, filled, hidden)
-            filled = np.where(known, values, smoother.solve_masked(right, filled, border))
-        yield title, np.clip(filled, 0, 1)
+        trust = np.where(known, weights, MEAN_WEIGHTS[title] * graph.size / spread**2)[:, part]
+        right, some = trust * np.where(known, values, mean)[:, part], filled[:, part]
+        rounds = [None] if edges else [~own, *[None] * EDGE_ROUNDS]
+        for hidden in rounds if free.any() else ():
+            smoother = links.with_precision(trust, some, hidden)
+            some = np.where(own, values[:, part], smoother.solve_masked(right, some, free))
+        filled = filled.copy()
+        filled[:, part] = np.clip(some, 0, 1)
+        yield title, filled
 
 
 def _initial_values(
@@ -56,12 +63,9 @@ def _initial_values(
     away, which = tree.query(places[~known], [*range(1, count + 1)], workers=-1)
     weights = 1 / np.maximum(away, 1e-9) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
-    for row, of_known in zip(filled, graph.values[:, known], strict=True):
-        row[~known] = (of_known[which] * weights).sum(axis=1)
+    filled[:, ~known] = np.einsum("nwk,wk->nw", graph.values[:, known][:, which], weights)
     start = np.where(border, filled, mean)
-    for title in MEAN_WEIGHTS:
-        if title in titles:
-            yield title, start, False
+    yield from ((title, start, False) for title in MEAN_WEIGHTS if title in titles)
 
 
 TITLES = (*MEAN_WEIGHTS, *(predictor.title for predictor in PREDICTORS))

@@ -97,10 +97,9 @@ class TexelGraph:
     def of(field: TextureField, known: np.ndarray) -> TexelGraph:
         """Create the graph of a field's texels."""
         weights = 1 / np.maximum(field.deviation, LEAST_SD) ** 2
-        square = texel_squares(field.texels)
-        pieces = Pieces.of(field.texels, field.smoother.around)
         return TexelGraph(
-            field.values, weights, field.values, known, np.ones(len(known)), square, pieces,
+            field.values, weights, field.values, known, np.ones(len(known)),
+            texel_squares(field.texels), Pieces.of(field.texels, field.smoother.around),
             field.smoother,
         )  # fmt: skip
 
@@ -108,15 +107,21 @@ class TexelGraph:
         """Return a copy in which ``hidden`` texels, (T,) bool, are unknown."""
         return replace(self, known=self.known & ~hidden)
 
-    @property
-    def count(self) -> int:
-        """Number of nodes, T."""
-        return len(self.known)
+    def near(self, nodes: np.ndarray, steps: int) -> np.ndarray:
+        """Add to a set of nodes, (T,) bool, those within a number of links."""
+        columns = np.stack([np.array(column) for column in self.smoother.around])
+        reached, border = nodes.copy(), np.flatnonzero(nodes)
+        for _ in range(steps):
+            border = np.unique(columns[:, border])
+            border = border[~reached[border]]
+            reached[border] = True
+        return reached
 
     @property
     def is_large(self) -> bool:
         """True if there are more than MOST_TEXELS nodes, and grouping reduces them."""
-        return self.count > MOST_TEXELS and self.halved[0].count < GROUPING_LIMIT * self.count
+        count = len(self.known)
+        return count > MOST_TEXELS and len(self.halved[0].known) < GROUPING_LIMIT * count
 
     @property
     def coarsest(self) -> TexelGraph:
@@ -126,7 +131,7 @@ class TexelGraph:
     @cached_property
     def halved(self) -> tuple[TexelGraph, np.ndarray]:
         """Graph of 2 x 2 groups (all known or all unknown), and the group (T,) of each node."""
-        square, own = self.square // 2, np.arange(self.count)
+        square, own = self.square // 2, np.arange(len(self.known))
         alike = np.concatenate([square, self.known[:, None]], axis=1)
         columns = [np.array(column, np.int64) for column in self.smoother.around]
         owner = connected_components([

@@ -88,6 +88,14 @@ class Smoother:
         hidden = None if masked is None else to_drjit(mi.Bool, masked)
         return replace(self, own=_vector(precision, 1), start=start, masked=hidden)._completed()
 
+    def restricted(self, texels: np.ndarray) -> "Smoother":
+        """Return the links between texels (t,), for ``with_precision``; others are lost."""
+        own, place = np.arange(len(texels)), np.full(dr.width(self.around[0]), -1)
+        place[texels] = own
+        columns = [place[np.array(column, np.int64)[texels]] for column in self.around]
+        around = [to_drjit(mi.UInt32, np.where(c < 0, own, c).astype(np.uint32)) for c in columns]
+        return replace(self, around=around, lanes=lanes_of(around, quad_count(self.fields)))
+
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> "Smoother":
         """Return the matrix of groups of 2 x 2 texels, given the group (T,) of each texel.
 
