@@ -20,6 +20,7 @@ import numpy as np
 from svu_mi.capture.capture import LightUncertainty
 from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior import calibrated_kernel as kernel
+from svu_mi.posterior import missing_light
 from svu_mi.posterior.calibrated_fit import CalibratedFit, fit, problem_of
 from svu_mi.posterior.calibrated_prior import CalibratedPrior
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
@@ -56,6 +57,8 @@ class CalibratedKernel(Kernel):
         common: standard deviation, per channel, of the log of a scale that all base colours share
             (unknown scale of the light). Included in ``sd`` and ``interval``, not in entropy.
         support: the same for a scale of each of the S texels (``support_error``), (S, 3); or None.
+        missing: share of base colour that may be due to missing light (``missing_light``), (S, g);
+            or None. Included in ``sd`` and ``interval``, not in entropy.
     """
 
     grid: PrincipledGrid
@@ -67,6 +70,7 @@ class CalibratedKernel(Kernel):
     apart: Mapping[str, np.ndarray] = field(default_factory=dict)
     common: tuple[float, ...] = (0.0, 0.0, 0.0)
     support: np.ndarray | None = None
+    missing: np.ndarray | None = None
     continuous = True
 
     @property
@@ -187,10 +191,12 @@ class CalibratedKernel(Kernel):
     def widened_ends(self, name: str, level: float, ends: Pair, texels: np.ndarray) -> Pair:
         """Return the ends of intervals, given those of ``own_ends``."""
         low, high = (self._stretched(name, end, texels) for end in ends)
-        if name != "base_color" or not (any(self.common) or self.support is not None):
+        if name != "base_color" or not (scale := self._scale(texels)).any():
             return low, high
-        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._scale(texels)
+        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * scale
         half = np.hypot((high - low) / 2, wide * middle)
+        if self.missing is not None:
+            middle *= 1 - missing_light.MEAN * self.missing[self.lane[texels]]
         return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
 
     def _stretched(self, name: str, values: np.ndarray, texels: np.ndarray) -> np.ndarray:
@@ -262,6 +268,7 @@ class CalibratedKernel(Kernel):
         return replace(
             self, spread=other.spread, apart={name: x[lanes] for name, x in other.apart.items()},
             support=None if other.support is None else other.support[lanes],
+            missing=None if other.missing is None else other.missing[lanes],
         )  # fmt: skip
 
     def alone(self) -> "CalibratedKernel":
@@ -273,6 +280,8 @@ class CalibratedKernel(Kernel):
         common = np.asarray(self.common, np.float32)
         if self.support is not None:
             common = np.hypot(common, self.support[self.lane[texels]])
+        if self.missing is not None:
+            common = np.hypot(common, missing_light.SD * self.missing[self.lane[texels]])
         return common if self.channels > 1 else common.mean(axis=-1, keepdims=True)
 
 

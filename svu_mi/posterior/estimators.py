@@ -31,6 +31,7 @@ from svu_mi.posterior.kept_results import (
 )
 from svu_mi.posterior.kernel import observed_by
 from svu_mi.posterior.metal_share import METAL_SAMPLE, knows_metals, learned_metal_share
+from svu_mi.posterior.missing_light import missing_share
 from svu_mi.posterior.neighbor_error import distance_from_neighbors
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
@@ -101,7 +102,7 @@ def statistics_posterior(
     )  # fmt: skip
     seen = observed_by("estimate()", factors, copies, count)
     posterior = posterior_of(fitted, inputs.grid, seen, observed.capture.light_uncertainty)
-    return replace(posterior, kernel=_widened(posterior.kernel, inputs))
+    return replace(posterior, kernel=_widened(posterior.kernel, inputs, switches))
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
@@ -116,14 +117,16 @@ def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[A
     return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
 
 
-def _widened(kernel: CalibratedKernel, inputs: EstimatorInputs) -> CalibratedKernel:
+def _widened(
+    kernel: CalibratedKernel, inputs: EstimatorInputs, switches: AngularPreset
+) -> CalibratedKernel:
     """Return the kernel of texels of the capture with wider error bars.
 
-    By the test by folds, by neighbours, and by what the object may stand on.
+    By the test by folds, by neighbours, by what the object may stand on, and by missing light.
     """
     if not inputs.test.spread:
         return kernel
-    observed, support = inputs.observed, None
+    observed, support, missing = inputs.observed, None, None
     lanes, texels = kernel.problem.factors.texel, observed.texels
     if may_stand(observed.capture):
         own = dr.gather(type(texels.normal), texels.normal, lanes)
@@ -135,7 +138,12 @@ def _widened(kernel: CalibratedKernel, inputs: EstimatorInputs) -> CalibratedKer
     for name in kernel.grid.axes:
         means = np.where(shown, kernel.moments(name, lanes.numpy())[0], np.nan)
         apart[name] = distance_from_neighbors(means, index, texels.resolution)
-    return replace(kernel, spread=inputs.test.spread, support=support, apart=apart)
+    if switches.occluded and not observed.lit_by_surfaces(switches):
+        chosen = lanes.numpy().astype(np.int64)
+        missing = missing_share(observed, chosen, kernel.moments("base_color", chosen)[0])
+    return replace(
+        kernel, spread=inputs.test.spread, support=support, missing=missing, apart=apart
+    )
 
 
 def with_metal_share(
@@ -189,7 +197,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
         kernel = TiledKernel(
             grid=inputs.grid, observed=observed, report=stage.update,
             make=lambda texels: _of_tile(inputs, switches, texels).kernel,
-            widened=lambda kernel: _widened(kernel, inputs),
+            widened=lambda kernel: _widened(kernel, inputs, switches),
         )  # fmt: skip
         tiled = Posterior(kernel=kernel, observed=observed)
         tiled.entropy()
@@ -222,7 +230,7 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
     known = [part for part in rounded if part is not None]  # either all tiles have one, or none
     rounding = np.concatenate(known) if known else None
     posterior = _posterior(inputs, switches, factors, rounding, seen.texels.count)
-    return replace(posterior, kernel=_widened(posterior.kernel, inputs))
+    return replace(posterior, kernel=_widened(posterior.kernel, inputs, switches))
 
 
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:

@@ -1,0 +1,55 @@
+"""Error of base colour by light that the object reflects onto itself, which the model lacks.
+
+Let the directions in which a texel sees the object instead of the light, weighted by the cosine, be
+a share h of its hemisphere. If they are as bright as the photographs, of mean radiance L, a texel
+of base colour c and mean radiance B owes to them the share
+
+    s = m / (1 + m),    m = c h L / B,
+
+of c. What is seen from concave places is darker, because it is shaded itself: base colour is
+assumed to be (1 - u s) c, with u uniform in [0, ``MOST``].
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.core.arrays import fibonacci, to_drjit
+from svu_mi.geometry.sample_view import TexelLanes, fold
+from svu_mi.light.light_visibility import is_unoccluded
+from svu_mi.posterior.observations import Observed
+
+# Photographs with all bounces need 1/2, those without need 0 (notebooks/design/calibration.md).
+MOST = 0.25
+MEAN, SD = MOST / 2, MOST / np.sqrt(12)  # of u
+RAYS = 64  # per texel, over the sphere
+
+
+def missing_share(observed: Observed, texels: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """Return s of (S,) texels with base colours (S, g), (S, g) float32."""
+    chosen = to_drjit(mi.UInt32, texels.astype(np.uint32))
+    hidden = hidden_share(observed.views.scene, TexelLanes.of(observed.texels, chosen))
+    seen = observed.visibility
+    with np.errstate(divide="ignore", invalid="ignore"):
+        own = (seen.total.numpy() / seen.coverage.numpy())[texels]
+    own = np.where(own > 0, own, seen.scale)  # only saturated, or black
+    missing = color * (hidden * seen.scale)[:, None]
+    return np.asarray(missing / np.maximum(own[:, None] + missing, 1e-30), np.float32)
+
+
+def hidden_share(scene: Any, surface: TexelLanes) -> np.ndarray:
+    """Return the share of directions that surfaces hide, weighted by the cosine, (S,)."""
+    directions = to_drjit(mi.Float, fibonacci(RAYS).astype(np.float32).ravel())
+
+    def add(number: Any, whole: Any, free: Any) -> tuple[Any, Any, Any]:
+        toward = dr.gather(mi.Vector3f, directions, number)
+        above = dr.dot(surface.geometric_normal, toward) > 0
+        cosine = dr.select(above, dr.maximum(dr.dot(surface.normal, toward), 0), 0)
+        is_open = is_unoccluded(scene, surface, toward, cosine > 0, coherent=True)
+        return number + 1, whole + cosine, free + dr.select(is_open, cosine, 0)
+
+    zero = dr.zeros(mi.Float, surface.count)
+    whole, free = fold(mi.UInt32(0), dr.opaque(mi.UInt32, RAYS), add, zero, zero)
+    return 1 - (free / dr.maximum(whole, 1e-9)).numpy()
