@@ -272,8 +272,8 @@ class CalibratedKernel(Kernel):
         )  # fmt: skip
 
     def alone(self) -> "CalibratedKernel":
-        """Return the kernel of texels by themselves: no common scale, no neighbours."""
-        return replace(self, common=(0.0, 0.0, 0.0), apart={})
+        """Return the kernel of texels by themselves: no common scale, neighbours, missing light."""
+        return replace(self, common=(0.0, 0.0, 0.0), apart={}, missing=None)
 
     def _scale(self, texels: np.ndarray) -> np.ndarray:
         """Return the standard deviation of the log of the scale of base colours, (t, g) or (g,)."""

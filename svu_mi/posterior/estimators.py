@@ -138,12 +138,11 @@ def _widened(
     for name in kernel.grid.axes:
         means = np.where(shown, kernel.moments(name, lanes.numpy())[0], np.nan)
         apart[name] = distance_from_neighbors(means, index, texels.resolution)
-    if switches.occluded and not observed.lit_by_surfaces(switches):
+    known = "base_color" in inputs.grid.known
+    if switches.occluded and not known and not observed.lit_by_surfaces(switches):
         chosen = lanes.numpy().astype(np.int64)
         missing = missing_share(observed, chosen, kernel.moments("base_color", chosen)[0])
-    return replace(
-        kernel, spread=inputs.test.spread, support=support, missing=missing, apart=apart
-    )
+    return replace(kernel, spread=inputs.test.spread, support=support, missing=missing, apart=apart)
 
 
 def with_metal_share(

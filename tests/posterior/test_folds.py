@@ -17,7 +17,9 @@ from svu_mi.bench.spoiled_captures import with_gains
 from svu_mi.calibration.poses.pose_equations import moved_sensor
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.geometry.bitset import Bits
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.environment import read_environment
+from svu_mi.posterior import missing_light
 from svu_mi.posterior.folds import (
     cluster_directions,
     compared,
@@ -270,6 +272,46 @@ def test_photographs_from_above_widen_base_color_below(capture, layout, monkeypa
     monkeypatch.setattr(TiledKernel, "size", 100)
     tiled = svu.estimate(above, layout).posterior
     np.testing.assert_allclose(np.array(tiled.sd("base_color"))[seen], sd, rtol=1e-3)
+
+
+# --- light that the object reflects onto itself ---------------------------------------------
+
+
+def test_a_disk_hides_its_view_factor(monkeypatch):
+    monkeypatch.setattr(missing_light, "RAYS", 4096)
+    up, radius, height = [0.0, 0.0, 1.0], 0.8, np.array([0.2, 0.5, 1.0, 2.0])
+    disk = {"type": "disk", "to_world": mi.ScalarTransform4f().scale([radius, radius, 1])}
+    scene = mi.load_dict({"type": "scene", "disk": disk})
+    surface = TexelLanes(
+        position=mi.Point3f(mi.Float(0), mi.Float(0), mi.Float(-height)), normal=mi.Normal3f(up),
+        geometric_normal=mi.Normal3f(up), offset=mi.Float(0),
+    )  # fmt: skip
+    expected = radius**2 / (radius**2 + height**2)  # [Howell, catalog of configuration factors]
+    hidden = missing_light.hidden_share(scene, surface)
+    np.testing.assert_allclose(hidden, expected, atol=0.01)
+
+
+def test_missing_light_moves_intervals_of_base_color_down(capture, layout):
+    posterior = svu.estimate(capture, layout).posterior
+    kernel, seen = posterior.kernel, np.flatnonzero(posterior.observed)
+    assert kernel.missing.max() < 0.01  # nothing of a ball is hidden
+    part = np.float32(0.4)
+    one, other = (replace(posterior, kernel=replace(kernel, missing=missing)) for missing in (
+        None, np.full_like(kernel.missing, part)))  # fmt: skip
+    (low, high), (new_low, new_high) = (
+        (np.array(end, np.float64) for end in x.interval("base_color", 0.9, seen))
+        for x in (one, other)
+    )
+    middle, half = (low + high) / 2, (high - low) / 2
+    # u is uniform in [0, 1 / 4]: its mean is 1 / 8.
+    wide = np.hypot(half, 1.645 * 0.25 / np.sqrt(12) * part * middle)
+    inside = middle * (1 - part / 8) + wide < 1
+    np.testing.assert_allclose(new_low, np.maximum(middle * (1 - part / 8) - wide, 0), atol=1e-3)
+    np.testing.assert_allclose(
+        new_high[inside], (middle * (1 - part / 8) + wide)[inside], atol=1e-3
+    )
+    assert np.array_equal(one.mean("base_color"), other.mean("base_color"))
+    assert np.array_equal(one.entropy(), other.entropy())
 
 
 # --- prediction -----------------------------------------------------------------------------
