@@ -106,13 +106,13 @@ def statistics_posterior(
 
 
 def _statistics_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
-    """Return all inputs of the statistics in addition to those of ``observed.cache``."""
+    """Return all inputs of the statistics that ``observed.cache`` does not contain."""
     plan = inputs.plan
     return [switches, gathered_levels(inputs, switches), plan.channels, plan.light_channels]
 
 
 def posterior_inputs(inputs: EstimatorInputs, switches: AngularPreset) -> list[Any]:
-    """Return all inputs of the posterior in addition to those of ``observed.cache``."""
+    """Return all inputs of the posterior that ``observed.cache`` does not contain."""
     prior = None if inputs.prior is None else np.asarray(inputs.prior)
     return [*_statistics_inputs(inputs, switches), inputs.grid, prior, inputs.plan.copies]
 
@@ -122,7 +122,7 @@ def _widened(
 ) -> CalibratedKernel:
     """Return the kernel of texels of the capture with wider error bars.
 
-    By the test by folds, by neighbours, by what the object may stand on, and by missing light.
+    By the test by folds, neighbours, a plane that the object may stand on, and missing light.
     """
     if not inputs.test.spread:
         return kernel

@@ -6,7 +6,7 @@ of base colour c and mean radiance B owes to them the share
 
     s = m / (1 + m),    m = c h L / B,
 
-of c. What is seen from concave places is darker, because it is shaded itself: base colour is
+of c. Surfaces that face concave places are darker, because they are shaded, too: base colour is
 assumed to be (1 - u s) c, with u uniform in [0, ``MOST``].
 """
 
