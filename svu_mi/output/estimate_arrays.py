@@ -1,6 +1,5 @@
 """Values of an estimate as NumPy arrays, and labels of parameters, for pages."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,43 +14,19 @@ LOWEST_PART = 0.1  # fraction of the texels, of lowest entropy, with their own m
 SAMPLE = 2_000  # texels of a mean marginal
 
 
-@dataclass(frozen=True)
-class EstimateArrays:
-    """NumPy copies of the per-texel values that pages draw.
+def entropies(estimate: Estimate) -> np.ndarray:
+    """Return the normalised entropy of texels, (T,) float32."""
+    return np.array(estimate.entropy, np.float32)
 
-    Attributes:
-        entropy: (T,) float32, normalised entropy.
-        coverage: (T,) int64, number of views that see a texel.
-        seen: (T,) bool, texels with a view.
-        inside: (H, W) bool, True in the charts.
-        unseen: (H, W) bool, True in texels without a view.
-    """
 
-    entropy: np.ndarray
-    coverage: np.ndarray
-    seen: np.ndarray
-    inside: np.ndarray
-    unseen: np.ndarray
-
-    @property
-    def max_views(self) -> int:
-        """Largest number of views of a texel, at least 1; end of the coverage scale."""
-        return max(int(self.coverage.max(initial=0)), 1)
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> "EstimateArrays":
-        """Copy the values of an estimate."""
-        texels, seen = estimate.texels, is_seen(estimate)
-        return cls(
-            entropy=np.array(estimate.entropy, np.float32),
-            coverage=np.array(estimate.coverage).astype(np.int64),
-            seen=seen, inside=texels.inside(), unseen=texels.to_image(~seen, False),
-        )  # fmt: skip
+def view_counts(estimate: "Estimate | Recovery") -> np.ndarray:
+    """Return the number of views that see each texel, (T,) int64."""
+    return np.array(estimate.coverage).astype(np.int64)
 
 
 def is_seen(estimate: "Estimate | Recovery") -> np.ndarray:
     """Return flags of texels that at least one view sees, (T,) bool."""
-    return np.array(estimate.coverage) > 0
+    return view_counts(estimate) > 0
 
 
 def texel_areas(estimate: "Estimate | Recovery") -> np.ndarray:
@@ -88,14 +63,15 @@ def prior_marginal(posterior: Posterior, name: str) -> np.ndarray:
 
 
 def mean_marginals(
-    estimate: Estimate, result: EstimateArrays
+    estimate: Estimate,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return mean marginals of all seen texels, and of the 10 % with the lowest entropy.
 
     Marginals are by parameter, (nodes, 1), or (nodes, 3) if the channels differ. At least one texel
     must be seen.
     """
-    limit = np.quantile(result.entropy[result.seen], LOWEST_PART)
+    entropy, seen = entropies(estimate), is_seen(estimate)
+    limit = np.quantile(entropy[seen], LOWEST_PART)
 
     def mean(of: np.ndarray) -> dict[str, np.ndarray]:
         every = np.flatnonzero(of)
@@ -106,4 +82,4 @@ def mean_marginals(
             marginals[name] = p.reshape(len(some), p.shape[1], -1).mean(axis=0)
         return marginals
 
-    return mean(result.seen), mean(result.seen & (result.entropy <= limit))
+    return mean(seen), mean(seen & (entropy <= limit))

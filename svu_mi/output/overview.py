@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.errors import counted
 from svu_mi.output import object_views, style
-from svu_mi.output.estimate_arrays import EstimateArrays, known_values, label_of
+from svu_mi.output.estimate_arrays import entropies, is_seen, known_values, label_of, view_counts
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import IntervalSummary, plain_percent
 from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
@@ -38,7 +38,7 @@ def write_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    result, summary = EstimateArrays.of(estimate), summary or IntervalSummary.of(estimate)
+    summary = summary or IntervalSummary.of(estimate)
     tested = estimate.prediction
     wrong = estimate.prediction_sentence if tested and not tested.reliable else None
     shares: list[Panel] = [
@@ -50,10 +50,10 @@ def write_overview(
         Block(panels=shares, shape=(1, len(shares)), box=(LEFT, RIGHT, 0.83, 0.905)),
         Block(panels=_objects(capture, estimate), shape=(1, 4), box=(LEFT, RIGHT, 0.41, 0.785),
               space=(0.03, 0), anchor="N"),
-        Block(panels=[("Entropy", partial(_entropy_map, estimate=estimate, result=result)),
-                      ("Coverage", partial(_coverage_map, capture, estimate, result))],
+        Block(panels=[("Entropy", partial(_entropy_map, estimate=estimate)),
+                      ("Coverage", partial(_coverage_map, capture, estimate))],
               shape=(1, 2), box=(LEFT, 0.485, 0.075, 0.365), space=(0.09, 0), anchor="NW"),
-        Block(panels=[("Entropy of seen texels", partial(_histogram, result=result))],
+        Block(panels=[("Entropy of seen texels", partial(_histogram, estimate=estimate))],
               box=(0.535, RIGHT, 0.075, 0.365)),
     ])  # fmt: skip
 
@@ -102,26 +102,27 @@ def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
         yield "Entropy in this view", partial(style.draw_image, image=entropy)
 
 
-def _entropy_map(axes: Axes, estimate: Estimate, result: EstimateArrays) -> None:
+def _entropy_map(axes: Axes, estimate: Estimate) -> None:
     draw_scaled_map(axes, estimate, label=style.ENTROPY_ENDS, interpolation="nearest")
-    _hatch(axes, result)
+    _hatch(axes, estimate)
 
 
-def _coverage_map(capture: Capture, estimate: Estimate, result: EstimateArrays, axes: Axes) -> None:
+def _coverage_map(capture: Capture, estimate: Estimate, axes: Axes) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    label = f"views that see the texel, of {sum(capture.used)}"
+    counts, label = view_counts(estimate), f"views that see the texel, of {sum(capture.used)}"
     bar = draw_scaled_map(
-        axes, estimate, result.coverage, label, limits=(0, result.max_views),
+        axes, estimate, counts, label, limits=(0, max(counts.max(initial=0), 1)),
         colormap=style.VIEWS_COLORMAP, interpolation="nearest",
     )  # fmt: skip
     bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    _hatch(axes, result, legend=False)
+    _hatch(axes, estimate, legend=False)
 
 
-def _histogram(axes: Axes, result: EstimateArrays) -> None:
+def _histogram(axes: Axes, estimate: Estimate) -> None:
     style.minimal_axes(axes)
-    edges, values = np.linspace(0, 1, BINS + 1), result.entropy[result.seen]
+    seen = is_seen(estimate)
+    edges, values = np.linspace(0, 1, BINS + 1), entropies(estimate)[seen]
     if len(values) == 0:
         axes.set(xlim=(0, 1), yticks=[])
         style.write_centered(axes, "no texel seen")
@@ -140,28 +141,29 @@ def _histogram(axes: Axes, result: EstimateArrays) -> None:
     axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the label
     style.labels(axes, style.ENTROPY_ENDS, "% of texels")
     if part[-1] >= 100 * FULL:
-        views = np.median(result.coverage[result.seen][values >= edges[-2]])
-        seen = counted(views, "photograph")
-        text = f"last bar: {part[-1]:.0f} % of texels; median of {seen} each"
+        views = np.median(view_counts(estimate)[seen][values >= edges[-2]])
+        number = counted(views, "photograph")
+        text = f"last bar: {part[-1]:.0f} % of texels; median of {number} each"
         axes.set_title(text, loc="right", y=1.0, size=style.TEXT, color=style.FAINT, pad=6)
 
 
-def _hatch(axes: Axes, result: Any, legend: bool = True) -> None:
+def _hatch(axes: Axes, estimate: Estimate, legend: bool = True) -> None:
     """Hatch pixels outside the charts, whose grey is not a value; ``legend`` explains it."""
     from matplotlib.patches import Patch
 
-    height, width = result.inside.shape
-    if not result.inside.all() and min(height, width) > 1:  # contourf needs two rows and columns
+    inside = estimate.texels.inside()
+    height, width = inside.shape
+    if not inside.all() and min(height, width) > 1:  # contourf needs two rows and columns
         stripes = axes.contourf(
-            ~result.inside, levels=(0.5, 1.5), colors="none", hatches=("////",),
+            ~inside, levels=(0.5, 1.5), colors="none", hatches=("////",),
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),
         )  # fmt: skip
         stripes.set(edgecolor=RULE, linewidth=0)
     style.frame_map(axes)
     key = []
-    if result.unseen.any():
+    if not is_seen(estimate).all():
         key.append(Patch(facecolor=style.UNSEEN, label="never seen"))
-    if not result.inside.all():
+    if not inside.all():
         outside = style.OUTSIDE
         key.append(Patch(facecolor=outside, edgecolor=RULE, hatch="////", label="no surface"))
     if key and legend:

@@ -10,7 +10,7 @@ import numpy as np
 from svu_mi.capture.tonemap import srgb
 from svu_mi.errors import counted
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import EstimateArrays, label_of, open_axes
+from svu_mi.output.estimate_arrays import entropies, label_of, open_axes, view_counts
 from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals, has_estimated_light
 from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
@@ -111,15 +111,15 @@ def surface_maps(
 
 def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
     """Return the maps of entropy and coverage."""
-    result = EstimateArrays.of(estimate)
-    most = result.max_views
+    counts = view_counts(estimate)
+    most = max(int(counts.max(initial=0)), 1)
     return [
         SurfaceMap(
-            name="entropy", estimate=estimate, values=lambda: result.entropy, scale=ENTROPY,
+            name="entropy", estimate=estimate, values=lambda: entropies(estimate), scale=ENTROPY,
             sentence="Joint entropy of all parameters, relative to the prior.",
         ),
         SurfaceMap(
-            name="coverage", estimate=estimate, values=lambda: result.coverage,
+            name="coverage", estimate=estimate, values=lambda: counts,
             scale=Scale(
                 colormap=VIEWS_COLORMAP, high=most, label="views that see the texel",
                 ends=("no photograph", counted(most, "photograph")),

@@ -18,7 +18,6 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.cli.main import main
 from svu_mi.core.io.exr import write_exr
-from svu_mi.output.estimate_arrays import EstimateArrays
 from svu_mi.output.interval_summary import Intervals, IntervalSummary
 from svu_mi.output.object_views import front_and_right
 from svu_mi.output.report import report, report_pictures, report_plots, summary_text
@@ -210,21 +209,21 @@ def test_known_parameters_are_listed_by_intervals(estimate, page, monkeypatch):
     assert f"{told[1]} determined; median ±0." in text
 
 
-def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
+def test_nothing_is_settled_by_its_entropy(capture, estimate, table, monkeypatch):
     """Whatever the entropy is, the same is said of what is settled."""
-    result, intervals, told = EstimateArrays.of(estimate), Intervals(estimate.posterior), []
+    intervals, told = Intervals(estimate.posterior), []
     for entropy in (0, 1):
-        other = replace(result, entropy=np.full_like(result.entropy, entropy))
+        values = np.full(estimate.texels.count, entropy, np.float32)
+        monkeypatch.setattr(report, "entropies", lambda _, values=values: values)
         known = IntervalSummary.of(estimate, intervals)
-        summary = report._summary(capture, estimate, other, intervals, known, table)
+        summary = report._summary(capture, estimate, intervals, known, table)
         told.append((summary["settled"], summary["all_settled"]))
     assert told[0] == told[1] and len(told[0][0]) == 3
 
 
 def test_points_are_shown_with_their_intervals(estimate, table):
-    result = EstimateArrays.of(estimate)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
-    for example in report_plots.example_texels(table, estimate, result, [None] * 4):
+    for example in report_plots.example_texels(table, estimate, [None] * 4):
         column, row = map(int, re.search(r"column (\d+), row (\d+)", example["sentence"]).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
         told = {name: interval for name, _, interval in example["plots"]}
@@ -234,8 +233,7 @@ def test_points_are_shown_with_their_intervals(estimate, table):
 
 def test_points_are_on_different_sides(estimate, table):
     frames = list(range(4))
-    result = EstimateArrays.of(estimate)
-    examples = list(report_plots.example_texels(table, estimate, result, frames))
+    examples = list(report_plots.example_texels(table, estimate, frames))
     assert len({example["picture"] for example in examples}) == 3
 
 
@@ -380,7 +378,7 @@ def test_one_view_of_the_method_as_printed(capture, estimate, page):
 def test_channels_have_lines_of_their_own(capture, estimate):
     switches = svu.preset("default", method="angular", channels="joint")
     known = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
-    drawn = dict(report_plots.marginal_plots(known, EstimateArrays.of(known)))
+    drawn = dict(report_plots.marginal_plots(known))
     assert list(drawn) == ["roughness", "base colour"]
     assert {style for style, _, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
     assert len(drawn["roughness"].heights) == 8 and not len(drawn["base colour"].heights)

@@ -96,7 +96,8 @@ def test_one_column_of_texels_can_be_drawn():
     """Which has no contour."""
     inside = np.array([[True], [False], [True]])
     axes = new_figure(2, 2).add_subplot()
-    _hatch(axes, SimpleNamespace(inside=inside, unseen=np.array([True])))
+    texels = SimpleNamespace(inside=lambda: inside)
+    _hatch(axes, SimpleNamespace(texels=texels, coverage=np.array([0, 1])))
     assert axes.get_legend() is not None
 
 

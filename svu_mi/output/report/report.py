@@ -17,7 +17,14 @@ from svu_mi.core.io.output_folder import write_page
 from svu_mi.core.progress import Stage
 from svu_mi.errors import counted
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import EstimateArrays, is_seen, known_values, label_of, open_axes
+from svu_mi.output.estimate_arrays import (
+    entropies,
+    is_seen,
+    known_values,
+    label_of,
+    open_axes,
+    view_counts,
+)
 from svu_mi.output.html import NARROW_SPACE, grouped, page_of, percent
 from svu_mi.output.interval_summary import (
     Intervals,
@@ -73,7 +80,7 @@ def write_report(
         ['base_color', 'metallic', 'roughness']
     """
     report = progress or Stage().update
-    result, table = EstimateArrays.of(estimate), Turntable.around(capture, FRAMES, SIDE)
+    table = Turntable.around(capture, FRAMES, SIDE)
     intervals = picture_intervals(estimate, report_pictures.MAP_SIDE)
     capture = dataclasses.replace(capture, warnings=_shared(capture, settings or {}))
     shown = _pictures(capture, estimate, textures, table, intervals, report)
@@ -83,9 +90,9 @@ def write_report(
     page = page_of(
         TEMPLATE,
         title=title or _object_name(capture), date=f"{today.day} {today:%B %Y}",
-        summary=_summary(capture, estimate, result, intervals, summary, table),
-        histogram=report_plots.entropy_histogram(result),
-        marginals=list(report_plots.marginal_plots(estimate, result)),
+        summary=_summary(capture, estimate, intervals, summary, table),
+        histogram=report_plots.entropy_histogram(estimate),
+        marginals=list(report_plots.marginal_plots(estimate)),
         given=[(name, _setting_text(value)) for name, value in (settings or {}).items()],
         **shown, **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
@@ -116,8 +123,7 @@ def _pictures(
         recovered = report_pictures.texture_maps(table, estimate, textures, field)
     report(3, 5)
     turned = [frame[0] for frame in frames]
-    result = EstimateArrays.of(estimate)
-    examples = list(report_plots.example_texels(table, estimate, result, turned))
+    examples = list(report_plots.example_texels(table, estimate, turned))
     report(4, 5)
     return {
         "count": capture.count, "used": sum(capture.used), "thumbnails": thumbnails,
@@ -160,12 +166,13 @@ def _errors(
 
 
 def _summary(
-    capture: Capture, estimate: Estimate, result: EstimateArrays, intervals: Intervals,
+    capture: Capture, estimate: Estimate, intervals: Intervals,
     summary: IntervalSummary, table: Turntable,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the variables of the page's head."""
-    seen = result.entropy[result.seen]
-    views = float(np.median(result.coverage[result.seen])) if len(seen) else 0
+    seen = is_seen(estimate)
+    entropy = entropies(estimate)[seen]
+    views = float(np.median(view_counts(estimate)[seen])) if len(entropy) else 0
     width, height = estimate.texels.resolution
     return {
         "seen": summary.seen_part,
@@ -181,14 +188,14 @@ def _summary(
         "coarse": [label_of(name) for name in summary.cell_width],
         "texture": f"{width} × {height}",
         "predicted": estimate.prediction_sentence,
-        "direction": summary_text.facing_direction(estimate, ~result.seen, table.up),
+        "direction": summary_text.facing_direction(estimate, ~seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),
-            ("Points of the surface", grouped(len(result.seen)),
+            ("Points of the surface", grouped(len(seen)),
              f"in a texture of {width} × {height}"),
             ("Seen", percent(summary.seen_part),
              f"of the surface; in {counted(views, 'photograph')} each (median)"),
-            ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
+            ("Mean entropy", f"{entropy.mean():.2f}" if len(entropy) else "–",
              f"of the points seen: {style.ENTROPY_ENDS}"),
         ],
         "bins": grouped(int(np.prod(estimate.posterior.grid.shape))),

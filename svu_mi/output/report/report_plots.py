@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from svu_mi.output.estimate_arrays import (
-    EstimateArrays,
     column_and_row,
+    entropies,
+    is_seen,
     label_of,
     mean_marginals,
     open_axes,
     prior_marginal,
+    view_counts,
 )
 from svu_mi.output.html import PageImage, grouped
 from svu_mi.output.interval_summary import interval_of
@@ -92,9 +94,9 @@ class Plot:
             )
 
 
-def entropy_histogram(result: EstimateArrays) -> Plot | None:
+def entropy_histogram(estimate: Estimate) -> Plot | None:
     """Return the histogram of the entropy; None if no texel is seen."""
-    values = result.entropy[result.seen]
+    values = entropies(estimate)[is_seen(estimate)]
     if len(values) == 0:
         return None
     edges = np.linspace(0, 1, BINS + 1)
@@ -109,25 +111,25 @@ def entropy_histogram(result: EstimateArrays) -> Plot | None:
     )  # fmt: skip
 
 
-def marginal_plots(estimate: Estimate, result: EstimateArrays) -> Iterator[tuple[str, Plot]]:
+def marginal_plots(estimate: Estimate) -> Iterator[tuple[str, Plot]]:
     """Yield the mean marginal of each open parameter over seen texels, if there are any."""
-    if not result.seen.any():
+    if not is_seen(estimate).any():
         return
-    of_all, of_lowest = mean_marginals(estimate, result)
+    of_all, of_lowest = mean_marginals(estimate)
     for name in open_axes(estimate):
         yield label_of(name), _marginal(estimate.posterior, name, of_all[name], of_lowest[name])
 
 
 def example_texels(
-    table: Turntable, estimate: Estimate, result: EstimateArrays, frames: list[PageImage]
+    table: Turntable, estimate: Estimate, frames: list[PageImage]
 ) -> Iterator[dict[str, Any]]:
     """Yield seen texels of low, median and high entropy with their marginals, from several sides.
 
     ``x`` and ``y`` are the texel's position in ``picture``, in percent of its width and height.
     If no frame shows the texel, ``picture`` is None.
     """
-    seen = np.flatnonzero(result.seen)
-    order = seen[np.argsort(result.entropy[seen], kind="stable")]
+    seen, entropy = np.flatnonzero(is_seen(estimate)), entropies(estimate)
+    order = seen[np.argsort(entropy[seen], kind="stable")]
     used: list[int] = []
     for name, part in EXAMPLES if len(order) else ():
         rank = int(part * (len(order) - 1))
@@ -141,11 +143,11 @@ def example_texels(
             n: np.array(p, np.float64).reshape(p.shape[1], -1)
             for n, p in estimate.posterior.marginals([texel]).items()
         }
-        count = int(result.coverage[texel])
+        count = int(view_counts(estimate)[texel])
         column, row = column_and_row(estimate, texel)
         yield {
             "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
-            "sentence": f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
+            "sentence": f"Entropy {entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
             "plots": [(label_of(n), _marginal(estimate.posterior, n, marginals[n]),
                        _interval_text(*interval_of(estimate.posterior, n, texel)))
