@@ -23,11 +23,12 @@ from svu_mi.geometry.mapped_normals import tangent_frame
 from svu_mi.geometry.texels import Texels, filled_image, texels
 from svu_mi.pipeline import estimate
 
-SIDE = 96  # texels per side of the refinement
+SIDES = 48, 48, 48, 96  # texels per side, of each Gauss-Newton step
 CONTROLS, NEAR = 150, 8  # control points, and those between which a tilt is interpolated
 OPPOSITE = 0.06  # distance that is added for perpendicular normals, relative to the extent
 WIDEST = np.radians(3.0)  # first standard deviation of tilts at control points
-ROUNDS, STEPS = 5, 3  # Gauss-Newton steps, and EM steps of each
+MISSED = 0.45  # sd of what materials explain instead, relative to the tilts' width (calibrated)
+STEPS = 20  # EM steps of each Gauss-Newton step
 
 
 @dataclass(frozen=True)
@@ -54,27 +55,16 @@ def refine_normals(
     errors that vary within about a tenth of the object nor errors of rough surfaces are found.
     Visibility and curvature stay. ``size`` (W, H) is the size of the normal map.
     """
-    grid, fine = (texels(capture.mesh, each) for each in (SIDE, size))
-    centers = _places(grid)[evenly_spaced(grid.count, CONTROLS)]
-    field, fine_field = _field(grid, centers), _field(fine, centers)
-    tilts, width, current = np.zeros(field[0].shape[1]), WIDEST, grid
-    with progress.stage("Refining normals", ROUNDS) as stage:
-        for number in range(ROUNDS):
-            known = estimate(capture, current, preset=eq.SWITCHES)
-            equations = eq.tilt_equations(known, grid)
-            tilts, covariance, width = _step(equations, field, tilts, width)
-            current = tilted(grid, _tangential(field, grid, tilts))
-            stage.update(number + 1, ROUNDS)
+    centers, tilts, covariance, width = _fitted(capture, progress)
+    fine = texels(capture.mesh, size)
+    field = _field(fine, centers)
     bare = texels(make_mesh(capture.shape.id(), arrays(capture.mesh)), size)
-    found = tilted(fine, _tangential(fine_field, fine, tilts))
-    local = tangent_frame(bare.normal, bare.sides[0]).to_local(mi.Vector3f(found.normal))
+    found = mi.Vector3f(_tilted(fine, field, tilts).normal)
+    local = tangent_frame(bare.normal, bare.sides[0]).to_local(found)
     image = filled_image(fine, (vectors(local) + 1) / 2).astype(np.float32)
-    root = np.linalg.cholesky(covariance)
-    variance = sum(np.square(along @ root).sum(axis=1) for along in fine_field)
-    sd = filled_image(fine, np.degrees(np.sqrt(variance))[:, None])[..., 0]
     made = with_normals(capture, image)
     with progress.stage("Predicting held-out photographs"):
-        results = [estimate(one, texels(one.mesh, SIDE)).prediction for one in (capture, made)]
+        results = [estimate(one, texels(one.mesh, SIDES[-1])).prediction for one in (capture, made)]
         before, after = (np.nan if one is None else one.r2 for one in results)
     angle = np.degrees(np.sqrt(sum(np.square(along @ tilts).mean() for along in field)))
     verb = "kept" if after < before else "tilted"
@@ -82,7 +72,28 @@ def refine_normals(
         f"Normals were {verb}: a tilt of {angle:.2g} degrees (rms) predicts held-out photographs "
         f"with R^2 {after:.3f} instead of {before:.3f}."
     )
-    return RefinedNormals(made, image, sd.astype(np.float32)) if verb == "tilted" else None
+    if verb == "kept":
+        return None
+    root = np.linalg.cholesky(covariance)
+    variance = sum(np.square(along @ root).sum(axis=1) for along in field) + (MISSED * width) ** 2
+    sd = filled_image(fine, np.degrees(np.sqrt(variance))[:, None])[..., 0]
+    return RefinedNormals(made, image, sd.astype(np.float32))
+
+
+def _fitted(capture: Capture, progress: Progress) -> tuple[Any, ...]:
+    """Return K centers (K, 6), tilts there (3 K,), their covariance, and their prior's width."""
+    grid = texels(capture.mesh, SIDES[-1])
+    centers = _places(grid)[evenly_spaced(grid.count, CONTROLS)]
+    tilts, width = np.zeros(3 * len(centers)), WIDEST
+    with progress.stage("Refining normals", len(SIDES)) as stage:
+        for number, side in enumerate(SIDES):
+            grid = texels(capture.mesh, side)
+            field = _field(grid, centers)
+            known = estimate(capture, _tilted(grid, field, tilts), preset=eq.SWITCHES)
+            equations = eq.tilt_equations(known, grid)
+            tilts, covariance, width = _step(equations, field, tilts, width)
+            stage.update(number + 1, len(SIDES))
+    return centers, tilts, covariance, width
 
 
 def _places(grid: Texels) -> np.ndarray:
@@ -104,10 +115,10 @@ def _field(grid: Texels, centers: np.ndarray) -> list[Any]:
     ]
 
 
-def _tangential(field: list[Any], grid: Texels, tilts: np.ndarray) -> np.ndarray:
-    """Return tilts of texels, (T, 3)."""
+def _tilted(grid: Texels, field: list[Any], tilts: np.ndarray) -> Texels:
+    """Return texels with normals that are tilted by vectors at the centers (3 K,)."""
     pairs = zip(field, tangents(grid), strict=True)
-    return np.asarray(sum((along @ tilts)[:, None] * axis for along, axis in pairs))
+    return tilted(grid, sum((along @ tilts)[:, None] * axis for along, axis in pairs))
 
 
 def _step(

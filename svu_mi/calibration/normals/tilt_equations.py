@@ -28,7 +28,7 @@ from svu_mi.statistics.gather_statistics import noise_weight
 SWITCHES = AngularPreset(folds=0)
 STEP = 0.05  # of finite differences by tilts [rad] and by parameters
 WIDTH = 1.0  # standard deviation of the prior of material parameters
-ALIKE = 4.0  # neighbouring texels with the same error
+ALIKE = 1 / 48  # width within which texels have the same error, relative to the map
 TILTS = 2  # coordinates of a tilt
 
 
@@ -53,7 +53,8 @@ def tilt_equations(known: Estimate, grid: Texels) -> tuple[np.ndarray, np.ndarra
         ends = [_predict(replace(observed, texels=side), [means])[3][0] for side in sides]
         slopes.append((ends[0] - ends[1])[..., None] / (2 * STEP))
     noise = known.posterior.kernel.noise_of(seen)  # type: ignore[attr-defined]
-    weight = weight / (ALIKE * SWITCHES.overdispersion * noise[lane] ** 2)
+    alike = max(ALIKE**2 * np.prod(grid.resolution), 1)  # texels with the same error
+    weight = weight / (alike * SWITCHES.overdispersion * noise[lane] ** 2)
     columns = np.concatenate([*slopes, (shown - predicted)[..., None]], axis=2)
     return _reduced(_products(columns, weight, seen[lane], count))
 
