@@ -12,8 +12,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-# What the tests around set, or a developer has set: a new user has none of it.
+# What the tests around set, or a developer has set: a new user has none of it. Only the folder of
+# compiled kernels is that of other processes of tests, for which they are compiled alike.
 NOT_SET = ("DRJIT_", "OPENBLAS_", "MPL", "MI_", "PYTHONUTF8", "PYTHONIOENCODING", "PYTEST_")
+SHARED = "DRJIT_CACHE_DIR"
 SECONDS = 120
 STAGE = re.compile(r".*: (failed after )?[0-9.]+ s(, [0-9]+ kernels? compiled)?")
 
@@ -71,7 +73,10 @@ def stopped(line: str, folder: Path, sign: str) -> Said:
 
 def typed(words: list[str], folder: Path, sign: str = "") -> Said:
     """Run a process as a user would; with a sign, until that is seen."""
-    kept = {key: value for key, value in os.environ.items() if not key.startswith(NOT_SET)}
+    kept = {
+        key: value for key, value in os.environ.items()
+        if key == SHARED or not key.startswith(NOT_SET)
+    }  # fmt: skip
     with subprocess.Popen(
         words, cwd=folder, env=kept, text=True, encoding="utf-8", stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
