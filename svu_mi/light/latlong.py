@@ -46,13 +46,9 @@ def grid_size(emitter: Any) -> tuple[int, int]:
     )  # fmt: skip
     # Odd multiples of the map's size, so that its own nodes are sampled.
     finer = int(np.ceil(max(FINEST / columns, FINEST / (rows - 1))))
-    across, down = (_odd(min(finer, LONGEST // side)) for side in (columns, rows))
+    times = (min(finer, LONGEST // side) for side in (columns, rows))
+    across, down = (max(1, number + 1 - number % 2) for number in times)
     return columns * across, (rows - 1) * down + 1
-
-
-def _odd(number: int) -> int:
-    """Return the smallest odd number that is at least ``number`` and 1."""
-    return max(1, number + 1 - number % 2)
 
 
 MAX_SIZE = (2048, 1025)  # columns and rows; sufficient for the narrowest lobe

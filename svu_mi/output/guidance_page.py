@@ -35,8 +35,9 @@ WHITE = 0.99  # quantile of the positive gains at the upper end of the colours
 
 def proposal_views(capture: Capture, guidance: Guidance) -> list[ObjectView]:
     """Return the view of the object from each proposed camera."""
-    scene = object_only_scene(capture)
-    return [ObjectView.at(scene, _enlarged(one.sensor)) for one in guidance.proposals]
+    scene, sensors = object_only_scene(capture), [one.sensor for one in guidance.proposals]
+    enlarged = (resized_sensor(s, -(-SIDE // max(film_size(s)))) for s in sensors)
+    return [ObjectView.at(scene, sensor) for sensor in enlarged]
 
 
 def file_names(capture: Capture, guidance: Guidance) -> list[str]:
@@ -223,11 +224,6 @@ def information_gain_colors() -> "Colormap":
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("gain", style.INFORMATION_GAIN_COLORS)
-
-
-def _enlarged(sensor: Any) -> Any:
-    """Return the sensor with a film of at least ``SIDE`` pixels on its longer side."""
-    return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 
 def _caption(proposal: Proposal, entropy: float) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
 
 import svu_mi
 from svu_mi.capture.capture import Capture
@@ -17,9 +16,9 @@ from svu_mi.capture.image_io import quantized
 from svu_mi.capture.tonemap import tone_mapped
 from svu_mi.core.identifiers import fits_file_name
 from svu_mi.core.io.exr import write_exr
-from svu_mi.core.io.files import replacing
 from svu_mi.core.io.output_folder import writing
 from svu_mi.output import object_views, style
+from svu_mi.output.export.asset_images import write_png
 from svu_mi.output.run_record import RECORD, RunInfo, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block, Panel
 from svu_mi.recovery.relighting import RelitView
@@ -104,8 +103,7 @@ def write_relit_views(
             channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
         write_exr(folder / f"{name}.exr", channels, attributes)
         shown = tone_mapped(view.picture, view.inside)
-        with replacing(folder / f"{name}.png") as temporary:
-            Image.fromarray(quantized(shown)).save(temporary)
+        write_png(folder / f"{name}.png", quantized(shown), color=True)
 
 
 def write_relit_page(

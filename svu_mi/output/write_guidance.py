@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from svu_mi.capture import scene_xml
 from svu_mi.capture.capture import Capture
@@ -16,10 +15,11 @@ from svu_mi.capture.importers.nerf import write_transforms
 from svu_mi.capture.importers.source import frame_of
 from svu_mi.capture.sensors import describe
 from svu_mi.core.io.exr import write_exr
-from svu_mi.core.io.files import prepare_folder, replacing
+from svu_mi.core.io.files import prepare_folder
 from svu_mi.core.io.output_folder import writing
 from svu_mi.guidance.guidance_result import Guidance
 from svu_mi.guidance.strategies import TABLE
+from svu_mi.output.export.asset_images import write_png
 from svu_mi.output.guidance_page import (
     file_names,
     information_gain_pictures,
@@ -126,5 +126,4 @@ def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
 def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
     """Write the proposed views, coloured by information gain, as PNG."""
     for k, picture in enumerate(pictures):
-        with replacing(folder / f"proposal_{k}.png") as temporary:
-            Image.fromarray(quantized(picture[..., :3])).save(temporary)
+        write_png(folder / f"proposal_{k}.png", quantized(picture[..., :3]), color=True)

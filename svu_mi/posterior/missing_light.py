@@ -16,8 +16,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import fibonacci, to_drjit
-from svu_mi.geometry.sample_view import TexelLanes, fold
+from svu_mi.core.arrays import fibonacci, fold, to_drjit
+from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.light_visibility import is_unoccluded
 from svu_mi.posterior.observations import Observed
 
@@ -51,5 +51,5 @@ def hidden_share(scene: Any, surface: TexelLanes) -> np.ndarray:
         return number + 1, whole + cosine, free + dr.select(is_open, cosine, 0)
 
     zero = dr.zeros(mi.Float, surface.count)
-    whole, free = fold(mi.UInt32(0), dr.opaque(mi.UInt32, RAYS), add, zero, zero)
+    whole, free = fold(0, dr.opaque(mi.UInt32, RAYS), add, zero, zero)
     return 1 - (free / dr.maximum(whole, 1e-9)).numpy()

@@ -18,7 +18,6 @@ from PIL import Image, UnidentifiedImageError
 from svu_mi.capture.image_formats.recognition import SUFFIXES as IMAGE_SUFFIXES
 from svu_mi.capture.importers import mesh_materials as materials
 from svu_mi.capture.importers.gltf_extensions import readable
-from svu_mi.capture.importers.normal_pictures import normal_picture
 from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
 from svu_mi.capture.importers.source_files import LARGEST_TEXT, find_file, substitutions
@@ -102,7 +101,7 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
         if path.suffix.lower() in materials.GLTF:
             with _parser_errors(path):
                 names = materials.ignored_in_gltf(path)
-                normals = normal_picture(path, parts[0].visual) if textures else None
+                normals = materials.normal_picture(path, parts[0].visual) if textures else None
                 names = [n for n in names if n != materials.NORMALS or normals is None]
                 visuals = [part.visual for part in parts]
                 unread = [] if files.missing else materials.unread_textures(path, visuals)

@@ -114,6 +114,25 @@ def png_of(path: Path) -> bytes:
     return stream.getvalue()
 
 
+def normal_picture(path: Path, visual: Any) -> np.ndarray | None:
+    """Return the normal map of a glTF's only material, (H, W, 3) bytes; None without a usable one.
+
+    It must use the UVs of the base colour, without scale or extensions, as the tangents of
+    Mitsuba's ``normalmap`` do.
+    """
+    picture = getattr(getattr(visual, "material", None), "normalTexture", None)
+    with_maps = [m for m in header_of(path).get("materials", ()) if "normalTexture" in m]
+    if picture is None or len(with_maps) != 1 or picture.width * picture.height > MAX_PIXELS:
+        return None
+    entry = with_maps[0]["normalTexture"]
+    base = with_maps[0].get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+    if entry.get("texCoord", 0) != base.get("texCoord", 0) or entry.get("scale", 1) != 1:
+        return None
+    if "extensions" in entry or "extensions" in base:
+        return None
+    return np.array(picture.convert("RGB"))
+
+
 def write_pictures(textures: Textures, folder: Path) -> None:
     """Write pictures by name: ``base_color.png``, ``roughness.png``, ``metallic.png``."""
     for name, pixels in textures.items():
