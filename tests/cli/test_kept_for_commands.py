@@ -23,6 +23,12 @@ COMMANDS = {
     "report": ("--recovered", "textures", "-o", "report.html"),
 }  # fmt: skip
 
+FOUND = re.compile(  # as the last lines
+    r"\nWrote report\.html\n\d+ % of the surface area seen, mean entropy 0\.\d\d\. Roughness known "
+    r"to ±0\.05 on .* of the surface area seen, metallic on .*, base colour on .* \(90 % intervals "
+    r"of .*\)\.\n"
+)
+
 
 @pytest.mark.slow
 def test_all_results_are_equal_to_the_bit(shot, tmp_path, monkeypatch, capsys):
@@ -42,6 +48,7 @@ def test_all_results_are_equal_to_the_bit(shot, tmp_path, monkeypatch, capsys):
             kept = name == "entropy" and cache == "--cache"
             assert ("Kept statistics in" in printed) == kept, (name, printed)
             assert ("Reading statistics from" in printed) == (cache == "--cache" and not kept)
+        assert FOUND.search(printed)  # by report
         if cache == "--no-cache":
             assert not (capture / "cache").exists()
     assert require_equal(*sides) > 10

@@ -34,6 +34,7 @@ recover cap {SIZE} --draws 2 --preset paper | omit one of them | recover cap {SI
 export maps | svu recover | export textures -o new
 report cap -o cap | such as report.html | report cap --resolution 16 -o report.html
 report cap -o a.txt | such as report.html | report cap --resolution 16 -o report.html
+report cap --recovered maps | maps: has no base_color.exr, roughness.exr, metallic.exr, so it is not a result of svu recover but of svu entropy; run svu recover on the same capture, and give its output folder. | report cap --recovered textures --resolution 16 -o report.html
 report cap --recovered textures --resolution 8 | give --resolution 16 16 | report cap --recovered textures --resolution 16 16 -o report.html
 """.strip().splitlines()  # noqa: E501
 
