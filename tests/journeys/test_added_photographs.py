@@ -57,16 +57,7 @@ def test_frames_are_appended_to_transforms(made):
     frames = [frame_of(s, Path(n)) for s, n in zip(made.sensors, made.files, strict=True)]
     write_transforms("photographs/transforms.json", frames)
     write_exr("probe.exr", {"RGB": np.ones((8, 16, 3), np.float32)})
-    line = (
-        "import",
-        "photographs",
-        "--mesh",
-        "ball.ply",
-        "--environment",
-        "probe.exr",
-        "-o",
-        "mine",
-    )
+    line = "import", "photographs", "--mesh", "ball.ply", "--environment", "probe.exr", "-o", "mine"
     assert run(*line) == 0
     assert run("guide", "mine", *GUIDE) == 0
     known, new = (json.loads(Path(f"{folder}/transforms.json").read_text())

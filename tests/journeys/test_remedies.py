@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import shutil
+from functools import cache
 
 import pytest
 from support.helpers import run, sensor_xml, write_scene
@@ -68,5 +69,12 @@ def test_the_remedy_of_a_message_works(place, monkeypatch, capsys, row):
     bad, message, good = (part.strip() for part in row.split(" | "))
     assert run(*shlex.split(bad)) == 2
     assert message in capsys.readouterr().err
-    assert run(*shlex.split(good)) == 0
+    assert works(good)
+
+
+@cache
+def works(line):
+    """Run a line that several messages lead to, once."""
+    status = run(*shlex.split(line))
     shutil.rmtree("new", ignore_errors=True)
+    return status == 0
