@@ -13,7 +13,6 @@ import numpy as np
 import scipy
 
 from svu_mi.calibration.normals import tilt_equations as eq
-from svu_mi.calibration.normals.tilt_equations import tangents, tilted, vectors
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import arrays, make_mesh
 from svu_mi.capture.replace_material import with_normals
@@ -61,12 +60,12 @@ def refine_normals(
     bare = texels(make_mesh(capture.shape.id(), arrays(capture.mesh)), size)
     found = mi.Vector3f(_tilted(fine, field, tilts).normal)
     local = tangent_frame(bare.normal, bare.sides[0]).to_local(found)
-    image = filled_image(fine, (vectors(local) + 1) / 2).astype(np.float32)
+    image = filled_image(fine, (eq.vectors(local) + 1) / 2).astype(np.float32)
     made = with_normals(capture, image)
     with progress.stage("Predicting held-out photographs"):
         results = [estimate(one, texels(one.mesh, SIDES[-1])).prediction for one in (capture, made)]
         before, after = (np.nan if one is None else one.r2 for one in results)
-    angle = np.degrees(np.sqrt(sum(np.square(along @ tilts).mean() for along in field)))
+    angle = np.degrees(np.sqrt(2 * np.square(field @ tilts).mean()))
     verb = "kept" if after < before else "tilted"
     progress.say(
         f"Normals were {verb}: a tilt of {angle:.2g} degrees (rms) predicts held-out photographs "
@@ -75,8 +74,8 @@ def refine_normals(
     if verb == "kept":
         return None
     root = np.linalg.cholesky(covariance)
-    variance = sum(np.square(along @ root).sum(axis=1) for along in field) + (MISSED * width) ** 2
-    sd = filled_image(fine, np.degrees(np.sqrt(variance))[:, None])[..., 0]
+    variance = np.square(field @ root).sum(axis=1).reshape(2, -1).sum(axis=0)
+    sd = filled_image(fine, np.degrees(np.sqrt(variance + (MISSED * width) ** 2))[:, None])[..., 0]
     return RefinedNormals(made, image, sd.astype(np.float32))
 
 
@@ -98,39 +97,35 @@ def _fitted(capture: Capture, progress: Progress) -> tuple[Any, ...]:
 
 def _places(grid: Texels) -> np.ndarray:
     """Return positions and scaled normals (T, 6): opposite sides are far from each other."""
-    return np.hstack([vectors(grid.position), OPPOSITE * grid.extent * vectors(grid.normal)])
+    return np.hstack([eq.vectors(grid.position), OPPOSITE * grid.extent * eq.vectors(grid.normal)])
 
 
-def _field(grid: Texels, centers: np.ndarray) -> list[Any]:
-    """Return two coordinates of texels' tilts by vectors at K centers, sparse (T, 3 K) each."""
+def _field(grid: Texels, centers: np.ndarray) -> Any:
+    """Return two coordinates of texels' tilts by vectors at K centers, sparse (2 T, 3 K)."""
     count = min(NEAR, len(centers) - 1)
     distance, near = scipy.spatial.cKDTree(centers).query(_places(grid), count + 1)
     weight = (1 - (distance[:, :-1] / np.maximum(distance[:, -1:], 1e-30)) ** 2) ** 2 + 1e-6
     weight /= weight.sum(axis=1, keepdims=True)
-    rows, columns = np.repeat(np.arange(grid.count), count), near[:, :-1].ravel()
-    weights = scipy.sparse.csr_array((weight.ravel(), (rows, columns)), (grid.count, len(centers)))
-    return [
-        scipy.sparse.hstack([weights * x[:, None] for x in axis.T], format="csr")
-        for axis in tangents(grid)
-    ]
+    parts = weight.ravel(), near[:, :-1].ravel(), np.arange(grid.count + 1) * count
+    weights = scipy.sparse.csr_array(parts, (grid.count, len(centers)))
+    axes = np.concatenate(eq.tangents(grid)).T
+    both = scipy.sparse.vstack([weights, weights])
+    return scipy.sparse.hstack([both * x[:, None] for x in axes], format="csr")
 
 
-def _tilted(grid: Texels, field: list[Any], tilts: np.ndarray) -> Texels:
+def _tilted(grid: Texels, field: Any, tilts: np.ndarray) -> Texels:
     """Return texels with normals that are tilted by vectors at the centers (3 K,)."""
-    pairs = zip(field, tangents(grid), strict=True)
-    return tilted(grid, sum((along @ tilts)[:, None] * axis for along, axis in pairs))
+    return eq.tilted(grid, np.sum((field @ tilts).reshape(2, -1, 1) * eq.tangents(grid), axis=0))
 
 
 def _step(
-    equations: tuple[np.ndarray, ...], field: list[Any], tilts: np.ndarray, width: float
+    equations: tuple[np.ndarray, ...], field: Any, tilts: np.ndarray, width: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return tilts at centers (3 K,), their covariance, and the width of their prior."""
     A, b = equations
-    matrix = sum(
-        (first.T @ (second * A[:, k, m][:, None])).toarray()
-        for k, first in enumerate(field) for m, second in enumerate(field)
-    )  # fmt: skip
-    right = sum(along.T @ b[:, k] for k, along in enumerate(field)) + matrix @ tilts
+    blocks = [[scipy.sparse.diags_array(x) for x in row] for row in np.moveaxis(A, 0, 2)]
+    matrix = (field.T @ scipy.sparse.block_array(blocks) @ field).toarray()
+    right = field.T @ b.T.ravel() + matrix @ tilts
     for _ in range(STEPS):
         covariance = np.linalg.inv(matrix + np.eye(len(tilts)) / width**2)
         tilts = covariance @ right

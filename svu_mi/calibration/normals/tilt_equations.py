@@ -56,7 +56,7 @@ def tilt_equations(known: Estimate, grid: Texels) -> tuple[np.ndarray, np.ndarra
     alike = max(ALIKE**2 * np.prod(grid.resolution), 1)  # texels with the same error
     weight = weight / (alike * SWITCHES.overdispersion * noise[lane] ** 2)
     columns = np.concatenate([*slopes, (shown - predicted)[..., None]], axis=2)
-    return _reduced(_products(columns, weight, seen[lane], count))
+    return _reduced(columns, weight, seen[lane], count)
 
 
 def _predict(observed: Observed, draws: list[Values]) -> tuple[np.ndarray, ...]:
@@ -76,16 +76,13 @@ def _predict(observed: Observed, draws: list[Values]) -> tuple[np.ndarray, ...]:
     return lane, weight, shown, np.array(predicted)
 
 
-def _products(columns: np.ndarray, weight: np.ndarray, lane: np.ndarray, count: int) -> np.ndarray:
-    """Return weighted products (S, K, K) of K columns (N, 3, K), summed over a texel's samples."""
-    each = np.moveaxis(columns, 2, 0)
+def _reduced(
+    columns: np.ndarray, weight: np.ndarray, lane: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return A and b from columns (N, 3, K) of material, tilts and error, without the material."""
+    each, fitted = np.moveaxis(columns, 2, 0), columns.shape[2] - TILTS - 1
     sums = [[np.bincount(lane, weight * (x * y).sum(axis=1), count) for y in each] for x in each]
-    return np.moveaxis(np.array(sums), 2, 0)
-
-
-def _reduced(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return A and b from products of material's columns, tilts, and error."""
-    fitted = products.shape[1] - TILTS - 1
+    products = np.moveaxis(np.array(sums), 2, 0)
     M = products[:, :fitted, :fitted] + np.eye(fitted) / WIDTH**2
     explained = products[:, fitted:, :fitted] @ np.linalg.solve(M, products[:, :fitted, fitted:])
     rest = products[:, fitted:, fitted:] - explained
@@ -96,8 +93,7 @@ def tilted(texels: Texels, tilt: np.ndarray) -> Texels:
     """Return texels with normals tilted by tangential vectors (T, 3)."""
     normal = vectors(texels.normal) + tilt
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    columns = (to_drjit(mi.Float, np.ascontiguousarray(x, np.float32)) for x in normal.T)
-    return replace(texels, normal=mi.Normal3f(*columns))
+    return replace(texels, normal=to_drjit(mi.Normal3f, normal.T.astype(np.float32)))
 
 
 def vectors(values: Any) -> np.ndarray:
