@@ -122,7 +122,7 @@ class Recover(LitCommand, ResultCommand):
         from svu_mi.calibration.normals.refine_normals import refine_normals
         from svu_mi.geometry.texels import texels as make_texels
         from svu_mi.output.interval_summary import IntervalSummary
-        from svu_mi.output.write_recovery import DrawOptions, write_recovery
+        from svu_mi.output.write_recovery import write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.posterior.observations import observe
         from svu_mi.recovery.initialisation import supports_texture_field
@@ -160,8 +160,7 @@ class Recover(LitCommand, ResultCommand):
             run = self.run_info(progress)
             write_recovery(
                 capture, recovery, place, run, estimate=known, field=field, normals=refined,
-                draws=DrawOptions(self.drawn, self.seed) if self.drawn else None,
-                pictures=self.pictures,
+                draws=self.drawn, seed=self.seed, pictures=self.pictures,
             )  # fmt: skip
             return IntervalSummary.of(known)
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -36,18 +35,10 @@ PAGE, RELIT = "recovery.png", "relit.png"
 VIEWS = 3  # rendered views
 
 
-@dataclass(frozen=True)
-class DrawOptions:
-    """Number of texture samples, and their seed."""
-
-    count: int
-    seed: int = 0
-
-
 def write_recovery(
     capture: Capture, recovery: Recovery, folder: str | os.PathLike[str],
     run: RunInfo | None = None, *, estimate: Estimate | None = None,
-    field: TextureField | None = None, draws: DrawOptions | None = None, pictures: bool = True,
+    field: TextureField | None = None, draws: int = 0, seed: int = 0, pictures: bool = True,
     normals: RefinedNormals | None = None,
 ) -> None:  # fmt: skip
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
@@ -60,7 +51,8 @@ def write_recovery(
         estimate: Estimate whose entropy and standard deviations are written and drawn; default:
             ``recovery.estimate``.
         field: Uncertainty of the textures; without it, ``uncertainty.exr`` is from the estimate.
-        draws: Number of textures to draw from ``field`` and write to ``draws``; default: none.
+        draws: Number of textures to draw from ``field`` and write to ``draws``.
+        seed: Seed of these textures.
         pictures: Whether to write ``recovery.png``, ``relit.png`` and ``draws.png``.
         normals: Refined normals to write to ``normal.exr`` and ``normal_sd.exr``.
 
@@ -83,8 +75,8 @@ def write_recovery(
         lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in losses)]
         write_text(target / LOSSES, "\n".join(lines))
         record = recovery_record(capture, recovery, estimate)
-        if field is not None and draws is not None:
-            first = write_draws(field.draw(draws.count, draws.seed), target, about)
+        if field is not None and draws:
+            first = write_draws(field.draw(draws, seed), target, about)
             if pictures:
                 seen = getattr(estimate, "seen_per_view", None)
                 (view,) = object_views.distant_views(capture, seen, 1)

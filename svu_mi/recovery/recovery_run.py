@@ -7,6 +7,10 @@ from math import sqrt
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+
+from svu_mi.capture.capture import Capture
+from svu_mi.capture.content_hash import Key, capture_parts
 from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import Neighbors, neighbors
@@ -21,7 +25,6 @@ from svu_mi.recovery.adam import descend
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.initialisation import estimate_for_textures, known_parameters, posterior_means
 from svu_mi.recovery.paper_settings import PaperSettings
-from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.regularizers.total_variation import TotalVariation
@@ -234,3 +237,25 @@ def check_choices(
             f"{', '.join(map(str, parameters)) or 'none'}."
         )
     return tuple(name for name in NAMES if name in parameters)
+
+
+def recovery_digests(
+    capture: Capture, texels: Texels, start: Textures | None, sharing: GlobalSharing | bool,
+    posterior: Posterior | None,
+) -> dict[str, str]:  # fmt: skip
+    """Return digests of a recovery's inputs by name, which identify the run of a checkpoint."""
+    # Normals follow from the shape, whose digest tolerates rounding.
+    digests = {"layout of texels": _digest(texels.index, texels.position)}
+    if start is not None:
+        digests["textures to start from"] = _digest(*(tensor for _, tensor in start.items()))
+    if isinstance(sharing, GlobalSharing):
+        digests["seeds of sharing"] = _digest(sharing.weights, sharing.seeds, [sharing.anchored])
+    if posterior is not None:
+        noise = getattr(posterior.kernel, "noise", np.empty(0))
+        axes = posterior.axes.values()
+        digests["posterior"] = _digest(posterior.prior, *axes, noise, posterior.entropy())
+    return capture_parts(capture) | digests
+
+
+def _digest(*arrays: Any) -> str:
+    return Key(*(np.array(array) for array in arrays)).digest()

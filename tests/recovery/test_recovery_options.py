@@ -20,7 +20,6 @@ from svu_mi.presets import PRESETS, preset
 from svu_mi.recovery import recover as entry
 from svu_mi.recovery import recovery_run
 from svu_mi.recovery.path.pixel_loss import PathObjective
-from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import (
     BOTH_PRESETS,
     PATH_PRESETS,
@@ -30,6 +29,7 @@ from svu_mi.recovery.recovery_options import (
     ShOptions,
     method_options,
 )
+from svu_mi.recovery.recovery_run import recovery_digests
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.regularizers.total_variation import TotalVariation
 from svu_mi.recovery.sh.angular_l1_loss import AngularObjective

@@ -21,8 +21,8 @@ from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.evaluation import reference_cache
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.posterior.grid import PrincipledGrid
-from svu_mi.recovery.recovery_hash import recovery_digests
 from svu_mi.recovery.recovery_options import SH_PRESETS, DescentOptions
+from svu_mi.recovery.recovery_run import recovery_digests
 
 # The scene has another shape, which reflects light; a change of the material is unsupported.
 IGNORED = "ignore:Light reflected by|.* which svu does not account for:svu_mi.errors.SvuWarning"
