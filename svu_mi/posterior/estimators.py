@@ -68,9 +68,7 @@ class EstimatorInputs:
 def gather_factors(inputs: EstimatorInputs, switches: AngularPreset) -> Factors:
     """Gather the statistics of all seen texels and factorise them, or read them from the cache."""
     observed, progress = inputs.observed, inputs.progress
-    texels = observed.seen
-    if not _uses_all(observed, switches):
-        texels = np.flatnonzero(observed.coverage)
+    texels = _used_texels(observed, switches)
     levels, channels = gathered_levels(inputs, switches), inputs.plan.channels
 
     def gather() -> Factors:
@@ -205,9 +203,7 @@ def tiled_posterior(inputs: EstimatorInputs, switches: AngularPreset) -> Posteri
 
 def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior:
     """Return the posterior of all texels; keep the sums of only one tile in memory."""
-    seen, texels = inputs.observed, inputs.observed.seen
-    if not _uses_all(seen, switches):
-        texels = np.flatnonzero(seen.coverage)
+    seen, texels = inputs.observed, _used_texels(inputs.observed, switches)
     rows = stride(len(gathered_levels(inputs, switches)), inputs.plan.channels)
     if rows * len(texels) > MAX_LANES:
         raise OptionError(
@@ -235,10 +231,8 @@ def _joined_tiles(inputs: EstimatorInputs, switches: AngularPreset) -> Posterior
 def _of_tile(inputs: EstimatorInputs, switches: AngularPreset, texels: np.ndarray) -> Posterior:
     """Return the posterior of ``texels``, which get the numbers 0, 1, ... in the result."""
     part = inputs.observed.subset(texels)
-    own = np.arange(len(texels))
-    if not _uses_all(part, switches):
-        own = np.flatnonzero(part.coverage[texels])
-        part = part.subset(texels[own])
+    part = part.subset(_used_texels(part, switches))
+    own = np.flatnonzero(np.isin(texels, part.seen))
     factors = _factors(inputs, part, switches, None)
     factors = replace(factors, texel=to_drjit(mi.UInt32, own.astype(np.uint32)))
     rounding = _rounding(part, switches)
@@ -284,8 +278,9 @@ def _posterior(
     )  # fmt: skip
 
 
-def _uses_all(seen: Observed, switches: AngularPreset) -> bool:
-    return seen.clipped_coverage is None or uses_saturated_samples(switches)
+def _used_texels(seen: Observed, switches: AngularPreset) -> np.ndarray:
+    whole = seen.clipped_coverage is None or uses_saturated_samples(switches)
+    return seen.seen if whole else seen.seen[seen.coverage[seen.seen] > 0]
 
 
 def view_counts(seen: Observed, switches: AnyPreset) -> np.ndarray:

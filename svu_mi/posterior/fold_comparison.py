@@ -17,15 +17,7 @@ from svu_mi.posterior.estimators import (
     view_counts,
     weighting_of,
 )
-from svu_mi.posterior.folds import (
-    ENOUGH,
-    SAMPLE,
-    UNRELIABLE,
-    compared,
-    fold_numbers,
-    folds_of,
-    spread_factors,
-)
+from svu_mi.posterior.folds import ENOUGH, SAMPLE, UNRELIABLE, compared, folds_of, spread_factors
 from svu_mi.posterior.held_out_samples import Values, predict_samples
 from svu_mi.posterior.judge_prediction import judged
 from svu_mi.posterior.kept_results import pack_test, restore_test
@@ -94,7 +86,7 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         )
         samples = predict_samples(
             alone, model, weighting_of(inputs.observed, switches),
-            fold_numbers(folds, len(cameras)), there,
+            np.argmax([np.isin(np.arange(len(cameras)), fold) for fold in folds], axis=0), there,
             *_without_folds(posterior, spread, moments, shape),
         )  # fmt: skip
         prediction = judged(samples, Surroundings.of(inputs.observed, texels))

@@ -77,14 +77,6 @@ def folds_of(cameras: np.ndarray, center: np.ndarray, most: int) -> list[np.ndar
     return [fold for fold in folds if 0 < len(fold) < len(cameras)]
 
 
-def fold_numbers(folds: Sequence[np.ndarray], views: int) -> np.ndarray:
-    """Return the fold of each view, (V,) int64."""
-    numbers = np.zeros(views, np.int64)
-    for number, fold in enumerate(folds):
-        numbers[fold] = number
-    return numbers
-
-
 def compared(counts: np.ndarray) -> np.ndarray:
     """Return which texels are compared with and without each fold, (F, t) bool.
 

@@ -32,8 +32,7 @@ def missing_share(observed: Observed, texels: np.ndarray, color: np.ndarray) -> 
     chosen = to_drjit(mi.UInt32, texels.astype(np.uint32))
     hidden = hidden_share(observed.views.scene, TexelLanes.of(observed.texels, chosen))
     seen = observed.visibility
-    with np.errstate(divide="ignore", invalid="ignore"):
-        own = (seen.total.numpy() / seen.coverage.numpy())[texels]
+    own = (seen.total.numpy() / np.maximum(seen.coverage.numpy(), 1))[texels]
     own = np.where(own > 0, own, seen.scale)  # only saturated, or black
     missing = color * (hidden * seen.scale)[:, None]
     return np.asarray(missing / np.maximum(own[:, None] + missing, 1e-30), np.float32)
