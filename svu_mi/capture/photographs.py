@@ -84,7 +84,8 @@ def read_photographs(
 ) -> tuple[list[Photograph], PixelBuffer]:  # fmt: skip
     """Read photographs and their masks in parallel.
 
-    A mask is the image's alpha channel, or a file in the same folder (see ``masks_of``).
+    A mask is the image's alpha channel, unless that is 1 everywhere, or a file in the same folder
+    (see ``masks_of``).
 
     Args:
         pictures: Files by view (see ``open_photographs``); other views get NaN pixels.
@@ -210,7 +211,8 @@ def _mask_of(picture: ImageFile, planes: Sequence[np.ndarray], window: Window) -
     """Return the mask of the crop, before downsampling; None without one."""
     if len(planes) > 3:
         alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
-        return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
+        if alpha.min() < 1:  # not of a rendering that shows its environment
+            return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
     path = picture.path
     names = (path.with_name(stem + end) for stem in masks_of(path.stem) for end in SUFFIXES)
     mask = next((name for name in names if name.is_file()), None)

@@ -114,15 +114,16 @@ class Import(BaseCommand):
         with claimed(self.output, "import", overwrite=self.overwrite) as place:
             self.start()
             notes, scale = self._import(Progress(console), place)
+        name = shlex.quote(str(self.output))
         for note in notes:
             print_line(console, note)
         if scale is not None:
             again = self.changed(self.output, mesh_scale=_rounded(scale))
             print_line(console, f"Wrote {self.output}; import it again with: {again}")
             return 0
-        print_line(console, f"Wrote {self.output}; check it with: svu check {self.output}")
+        print_line(console, f"Wrote {self.output}; check it with: svu check {name}")
         if NO_LIGHT in notes:
-            print_line(console, f"Then estimate its light with: svu light {self.output}")
+            print_line(console, f"Then estimate its light with: svu light {name}")
         return 0
 
     def _import(self, progress: Progress, place: Claim) -> "Imported":

@@ -114,7 +114,7 @@ class Recover(LitCommand, ResultCommand):
         elif checkpoint.exists():
             raise OptionError(
                 f"{self.output}: an interrupted run has left a checkpoint; continue it with "
-                "--resume, or start again with --overwrite."
+                "--resume and the same options, or start again with --overwrite."
             )
 
     def _recover(self, progress: Progress, place: Claim) -> "IntervalSummary":

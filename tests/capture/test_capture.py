@@ -157,6 +157,8 @@ def test_alpha_and_mask_files_are_masks(scene):
     assert capture.masks[0][:, 5:].all()
     np.testing.assert_array_equal(capture.masks[0], capture.masks[1])
     assert capture.masks[2] is None
+    write_exr(folder / "view_0000.exr", {"RGBA": np.ones((24, 24, 4), np.float32)})
+    assert load_capture(scene).masks[0] is None  # shows its environment
 
 
 def test_defines_reach_the_scene(tmp_path):

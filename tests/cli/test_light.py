@@ -232,6 +232,9 @@ def test_exposures_that_nobody_recorded_are_estimated_if_they_differ(dark, monke
         np.testing.assert_allclose(even.images[1], wanted, rtol=1e-5)
         assert [(dark / name).is_dir() for name in ("light", "light-gains")] == [not differ, differ]
     assert asked == [False, True]  # the second time, what was kept is used
+    write_exr(dark / "even.exr", {"RGB": np.ones((8, 16, 3), np.float32)})
+    resolve_light.with_resolved_light(capture, dark / "even.exr", gains=None, progress=progress)
+    assert "taken as equal under the given light" in progress.lines[-1]
 
 
 @pytest.mark.slow

@@ -57,7 +57,7 @@ from svu_mi.capture.replace_material import is_same, other_shapes
 from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
 from svu_mi.capture.up_direction import is_seen_from_above
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError, SvuError, counted
+from svu_mi.errors import OptionError, SvuError, first_of
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
 from svu_mi.pipeline import estimate
@@ -127,9 +127,10 @@ def check(
     number = _findings("number", "unclear", few)
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
-        cameras = () if off else odd or _unlike(views) or _findings(
-            "cameras", *outline_note(capture)
-        )  # fmt: skip
+        unlike = _unlike(views)  # by masks it is certain, by contrast a guess
+        masked = any(view.overlap is not None for view in views)
+        strange = (unlike or odd) if masked else (odd or unlike)
+        cameras = () if off else strange or _findings("cameras", *outline_note(capture))
         findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
         names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
         if names or scale != 1:
@@ -148,9 +149,9 @@ def _unlike(views: tuple[ViewCheck, ...]) -> tuple[Finding, ...]:
     odd = [name for name, fit in known.items() if fit < usual - UNLIKE]
     cue = "overlap with the mask" if masked else "contrast along the outline"
     return _findings("cameras", "unclear", None if not odd else (
-        f"The {cue} is {usual:.2f}, but {known[odd[0]]:.2f} in {odd[0]} "
-        f"({counted(len(odd), 'such photograph')}): check whether photograph, mask and pose belong "
-        "together."
+        f"The {cue} is {usual:.2f}, but at most {max(known[name] for name in odd):.2f} in "
+        f"{first_of(odd, 5)}: check whether photograph, mask and pose belong together, or were "
+        "exchanged."
     ))  # fmt: skip
 
 

@@ -147,6 +147,11 @@ def _resolved(
     elif not is_lit(capture):
         light = _estimated(capture, elsewhere, gains, known or {}, progress)
         lit, factors = with_light(capture, light), light.gains
+    if gains is None and lit.found_light is None and not capture.exposures_known:
+        progress.say(
+            "The exposures are not recorded, and taken as equal under the given light; if they may "
+            "differ, use --gains estimate."
+        )
     if gains and factors is None:
         factors = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
     if lit.exposures_relative and lit.found_light is None:

@@ -88,7 +88,7 @@ class ImportOptions:
     """Environment map (default: the map of the source, else no light)."""
     exposures: str | Path | None = None
     """Exposure gains, positive factors of radiance: a text file with lines NAME GAIN; exif; none
-    (all are equal); estimate (unknown: commands estimate them together with the light). Default:
+    (all are equal); estimate (unknown: estimated with the light, or by --gains estimate). Default:
     gains of the source, else EXIF if all photographs have it, else none for EXR, HDR and PFM
     and estimate for other files."""
     response: str | Path | None = None
