@@ -301,7 +301,8 @@ def growth(record: Record) -> list[Row]:
             f"{method}: exponents of texels / views; time of each; memory of a texel",
             " / ".join(f"{line['slope']:.2f}" for line in lines)
             + f"; {1e6 * lines[0]['b']:.3g} us / {1e3 * lines[1]['b']:.3g} ms; "
-            f"{2**20 * np.polyfit(n, mib, 1)[0]:.0f} bytes", "<= 1.1",
+            f"{2**20 * np.polyfit(n, mib, 1)[0]:.0f} bytes; R^2 {min(x['r2'] for x in lines):.3f}",
+            "<= 1.1; R^2 >= .95",
         ])  # fmt: skip
     return rows
 

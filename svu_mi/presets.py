@@ -425,8 +425,7 @@ def preset(
         _require(switch, method, "switch", kinds)
     if not isinstance(base, kind):
         raise OptionError(
-            f"A preset of method {method!r} must be a name or a {kind.__name__}, as "
-            f"preset({str(getattr(base, 'name', 'default'))!r}, method={method!r}) returns."
+            f"preset(..., method={method!r}) takes a name or a {kind.__name__}, not {type(base)}."
         )
     return replace(base, **switches) if switches else base
 

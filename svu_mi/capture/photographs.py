@@ -211,7 +211,7 @@ def _mask_of(picture: ImageFile, planes: Sequence[np.ndarray], window: Window) -
     """Return the mask of the crop, before downsampling; None without one."""
     if len(planes) > 3:
         alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
-        if alpha.min() < 1:  # not of a rendering that shows its environment
+        if not (alpha >= 1).all():  # not of a rendering that shows its environment
             return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
     path = picture.path
     names = (path.with_name(stem + end) for stem in masks_of(path.stem) for end in SUFFIXES)

@@ -1,7 +1,8 @@
 """Free memory, and estimates of the peak memory of commands.
 
 ``COSTS`` and ``MODELS`` are fitted to measured peaks of whole processes: vases with 24 to 60
-photographs of 64^2 to 512^2 pixels, and grids of 64^2 to 1024^2 texels, nearly all on charts.
+photographs of 64^2 to 512^2 pixels, and grids of 64^2 to 1024^2 texels, nearly all on charts;
+``SEEN`` to one with 1000 photographs of 256^2 and 2048^2 texels.
 Imports and renderings had up to 3000 x 2000 pixels, exports up to 2048^2 texels. No command exceeds
 its estimate in the runs of ``tests/support/announced.py``.
 """
@@ -81,6 +82,7 @@ MODELS = {
     "spectrum": 560,
 }
 GRID = 100  # bytes per texel outside of all charts
+SEEN = 0.32  # bytes per texel and photograph, of an estimate: bits of visibility
 # These commands process more than TILE texels in tiles, except with power spectra. They then take
 # LAID_OUT bytes per texel on charts, and MODELS bytes per texel of two batches of AT_WORK texels.
 TILE = 2**18
@@ -180,10 +182,10 @@ class Need:
             photographs = FLAGS * sum(pixels)
         grid, model = _pixels(self.resolution), MODELS.get(self.model, 0)
         covered, bare = self.sizes.charts * grid, (1 - self.sizes.charts) * grid * GRID
-        laid_out = LAID_OUT.get(self.command)
+        laid_out, seen = LAID_OUT.get(self.command), SEEN * len(pixels) if model else 0
         if laid_out is not None and self.model != "spectrum" and covered > ABOUT * TILE:
-            return photographs, laid_out * covered + 2 * model * AT_WORK + bare
-        return photographs, (cost.texel + model) * covered + bare
+            return photographs, (laid_out + seen) * covered + 2 * model * AT_WORK + bare
+        return photographs, (cost.texel + model + seen) * covered + bare
 
     @property
     def fits(self) -> bool:

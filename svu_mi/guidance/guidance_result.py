@@ -13,6 +13,7 @@ from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.guidance_options import GuidanceOptions
 from svu_mi.guidance.strategy_inputs import StrategyInputs
 
+CHUNK = 8192  # texels per launch of a gain map
 MAP_SIZE = 128  # values along the longer side of a gain map; finer maps show sampling noise
 SHOWN_NAMES = 3  # proposals named by __repr__
 
@@ -118,8 +119,9 @@ class Guidance:
         shown = np.flatnonzero(seen.any(axis=0))
         first, block = self._blocks(shown)
         if shown.size:
-            gains = _texel_information_gain(replace(everywhere, texels=first))
-            maps[:, shown] = gains[:, block] * seen[:, shown]
+            parts = np.array_split(first, -(-len(first) // CHUNK))
+            gains = [_texel_information_gain(replace(everywhere, texels=part)) for part in parts]
+            maps[:, shown] = np.hstack(gains)[:, block] * seen[:, shown]
         return maps
 
     def _blocks(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -55,8 +55,9 @@ def write_guidance(
         if pictures:
             looks = proposal_views(capture, guidance)
             write_guidance_overview(capture, estimate, guidance, maps, looks, target / PAGE, up)
-            thumbnails = information_gain_pictures(looks, guidance, maps)
-            _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
+            folder = prepare_folder(target / THUMBNAILS)
+            for k, picture in enumerate(information_gain_pictures(looks, guidance, maps)):
+                write_png(folder / f"proposal_{k}.png", quantized(picture[..., :3]), color=True)
         _write_maps(guidance, maps, target)
         write_run(draft, guidance_record(capture, estimate, guidance), run or RunInfo())
 
@@ -121,9 +122,3 @@ def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
             guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER
         )
         write_exr(folder / f"gain_{k}.exr", {"Y": image}, about)
-
-
-def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
-    """Write the proposed views, coloured by information gain, as PNG."""
-    for k, picture in enumerate(pictures):
-        write_png(folder / f"proposal_{k}.png", quantized(picture[..., :3]), color=True)

@@ -20,7 +20,6 @@ import numpy as np
 from svu_mi.capture.capture import LightUncertainty
 from svu_mi.core.arrays import to_drjit
 from svu_mi.posterior import calibrated_kernel as kernel
-from svu_mi.posterior import missing_light
 from svu_mi.posterior.calibrated_fit import CalibratedFit, fit, problem_of
 from svu_mi.posterior.calibrated_prior import CalibratedPrior
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
@@ -28,6 +27,7 @@ from svu_mi.posterior.folds import blur_error
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, observed_by
+from svu_mi.posterior.missing_light import MEAN, RMS, SD
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import COLOR_PARTS, uniform_axis
 from svu_mi.presets import AngularPreset
@@ -140,7 +140,7 @@ class CalibratedKernel(Kernel):
         """Return mean and standard deviation (see ``Kernel``)."""
         mean, sd = self._own_moments(name, texels)
         sd = sd * self._factors(name, mean, sd, texels)
-        return mean, np.hypot(sd, mean * self._scale(texels)) if name == "base_color" else sd
+        return mean, np.hypot(sd, mean * self._scale(texels, RMS)) if name == "base_color" else sd
 
     def _factors(
         self, name: str, mean: np.ndarray, sd: np.ndarray, texels: np.ndarray
@@ -191,13 +191,15 @@ class CalibratedKernel(Kernel):
     def widened_ends(self, name: str, level: float, ends: Pair, texels: np.ndarray) -> Pair:
         """Return the ends of intervals, given those of ``own_ends``."""
         low, high = (self._stretched(name, end, texels) for end in ends)
-        if name != "base_color" or not (scale := self._scale(texels)).any():
+        if name != "base_color" or not (scale := self._scale(texels, SD)).any():
             return low, high
         middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * scale
         half = np.hypot((high - low) / 2, wide * middle)
+        least = 0.0
         if self.missing is not None:
-            middle *= 1 - missing_light.MEAN * self.missing[self.lane[texels]]
-        return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
+            middle *= 1 - MEAN * self.missing[self.lane[texels]]
+            least = self._own_moments(name, texels)[0]  # intervals contain the mean
+        return np.maximum(middle - half, 0), np.clip(middle + half, least, 1)
 
     def _stretched(self, name: str, values: np.ndarray, texels: np.ndarray) -> np.ndarray:
         """Return values (..., t, g) moved away from the mean by the factors of ``spread``."""
@@ -275,13 +277,13 @@ class CalibratedKernel(Kernel):
         """Return the kernel of texels by themselves: no common scale, neighbours, missing light."""
         return replace(self, common=(0.0, 0.0, 0.0), apart={}, missing=None)
 
-    def _scale(self, texels: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of the log of the scale of base colours, (t, g) or (g,)."""
+    def _scale(self, texels: np.ndarray, missing: float) -> np.ndarray:
+        """Return the sd of the log scale of base colours, (t, g) or (g,), given that of u."""
         common = np.asarray(self.common, np.float32)
         if self.support is not None:
             common = np.hypot(common, self.support[self.lane[texels]])
         if self.missing is not None:
-            common = np.hypot(common, missing_light.SD * self.missing[self.lane[texels]])
+            common = np.hypot(common, missing * self.missing[self.lane[texels]])
         return common if self.channels > 1 else common.mean(axis=-1, keepdims=True)
 
 

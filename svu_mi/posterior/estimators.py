@@ -137,7 +137,7 @@ def _widened(
         means = np.where(shown, kernel.moments(name, lanes.numpy())[0], np.nan)
         apart[name] = distance_from_neighbors(means, index, texels.resolution)
     known = "base_color" in inputs.grid.known
-    if switches.occluded and not known and not observed.lit_by_surfaces(switches):
+    if switches.occluded and not (known or switches.bounces):
         chosen = lanes.numpy().astype(np.int64)
         missing = missing_share(observed, chosen, kernel.moments("base_color", chosen)[0])
     return replace(kernel, spread=inputs.test.spread, support=support, missing=missing, apart=apart)

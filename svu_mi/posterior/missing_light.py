@@ -16,6 +16,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.replace_material import other_shapes
+from svu_mi.capture.tonemap import object_only_scene
 from svu_mi.core.arrays import fibonacci, fold, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.light_visibility import is_unoccluded
@@ -23,14 +25,17 @@ from svu_mi.posterior.observations import Observed
 
 # Photographs with all bounces need 1/2, those without need 0 (notebooks/design/calibration.md).
 MOST = 0.25
-MEAN, SD = MOST / 2, MOST / np.sqrt(12)  # of u
+MEAN, SD, RMS = MOST / 2, MOST / np.sqrt(12), MOST / np.sqrt(3)  # of u
 RAYS = 64  # per texel, over the sphere
 
 
 def missing_share(observed: Observed, texels: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return s of (S,) texels with base colours (S, g), (S, g) float32."""
     chosen = to_drjit(mi.UInt32, texels.astype(np.uint32))
-    hidden = hidden_share(observed.views.scene, TexelLanes.of(observed.texels, chosen))
+    capture, scene = observed.capture, observed.views.scene
+    if other_shapes(scene, capture.shape):  # a black cloth hides light, but reflects none
+        scene = object_only_scene(capture)
+    hidden = hidden_share(scene, TexelLanes.of(observed.texels, chosen))
     seen = observed.visibility
     own = (seen.total.numpy() / np.maximum(seen.coverage.numpy(), 1))[texels]
     own = np.where(own > 0, own, seen.scale)  # only saturated, or black
@@ -51,4 +56,4 @@ def hidden_share(scene: Any, surface: TexelLanes) -> np.ndarray:
 
     zero = dr.zeros(mi.Float, surface.count)
     whole, free = fold(0, dr.opaque(mi.UInt32, RAYS), add, zero, zero)
-    return 1 - (free / dr.maximum(whole, 1e-9)).numpy()
+    return dr.select(whole > 0, 1 - free / whole, 0).numpy()

@@ -26,7 +26,7 @@ COMMANDS = {
 FOUND = re.compile(  # as the last lines
     r"\nWrote report\.html\n\d+ % of the surface area seen, mean entropy 0\.\d\d\. Roughness known "
     r"to ±0\.05 on .* of the surface area seen, metallic on .*, base colour on .* \(90 % intervals "
-    r"of .*\)\.\n"
+    r"of .*\)\.\n\Z"
 )
 
 

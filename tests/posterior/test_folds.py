@@ -295,6 +295,8 @@ def test_missing_light_moves_intervals_of_base_color_down(capture, layout):
     posterior = svu.estimate(capture, layout).posterior
     kernel, seen = posterior.kernel, np.flatnonzero(posterior.observed)
     assert kernel.missing.max() < 0.01  # nothing of a ball is hidden
+    bounces = svu.preset("default", method="angular", bounces=True)
+    assert svu.estimate(capture, layout, preset=bounces).posterior.kernel.missing is None
     part = np.float32(0.4)
     one, other = (replace(posterior, kernel=replace(kernel, missing=missing)) for missing in (
         None, np.full_like(kernel.missing, part)))  # fmt: skip
@@ -307,10 +309,12 @@ def test_missing_light_moves_intervals_of_base_color_down(capture, layout):
     wide = np.hypot(half, 1.645 * 0.25 / np.sqrt(12) * part * middle)
     inside = middle * (1 - part / 8) + wide < 1
     np.testing.assert_allclose(new_low, np.maximum(middle * (1 - part / 8) - wide, 0), atol=1e-3)
-    np.testing.assert_allclose(
-        new_high[inside], (middle * (1 - part / 8) + wide)[inside], atol=1e-3
-    )
+    mean = np.array(other.mean("base_color"))[seen]
+    high = np.maximum(middle * (1 - part / 8) + wide, mean)
+    np.testing.assert_allclose(new_high[inside], high[inside], atol=1e-3)
     assert np.array_equal(one.mean("base_color"), other.mean("base_color"))
+    sd, new_sd = (np.array(x.sd("base_color"))[seen] for x in (one, other))
+    np.testing.assert_allclose(new_sd, np.hypot(sd, mean * part / 4 / np.sqrt(3)), rtol=1e-3)
     assert np.array_equal(one.entropy(), other.entropy())
 
 

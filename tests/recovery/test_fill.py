@@ -125,14 +125,16 @@ def test_pieces_with_few_known_texels_do_not_predict() -> None:
         assert alike.tolist() == [True, False], kind
 
 
-def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[TexelGraph, np.ndarray]:
+def sheet(
+    side: int, hole: np.ndarray, alone: np.ndarray, fields: int = 1
+) -> tuple[TexelGraph, np.ndarray]:
     """A square of certain texels with a slope and a hole, a separate piece in the hole, and
     true values."""
     rows, columns = np.divmod(np.arange(side**2), side)
-    true = (0.6 + 0.6 * (columns / (side - 1) - 0.5))[None]
+    true = np.repeat((0.6 + 0.6 * (columns / (side - 1) - 0.5))[None], fields, axis=0)
     around = square(side)
     around = those_first(np.where(alone[around] == alone, around, np.arange(side**2)))
-    values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
+    values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01 + 0 * true)
     lanes = [to_drjit(mi.UInt32, column.astype(np.uint32)) for column in around]
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
     pieces = Pieces(
@@ -161,6 +163,15 @@ def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, en
     np.testing.assert_allclose(predicted[:, alone], true[:, ~hole].mean(), atol=1e-5)
     off = (predicted - true)[:, hole & ~alone]
     assert np.abs(off).max() < 0.04 and np.sqrt((off**2).mean()) < 0.01
+
+
+@pytest.mark.parametrize("title", MEAN_WEIGHTS)
+def test_pieces_without_known_texels_get_the_mean(title: str) -> None:
+    hole = round_hole(40, 0.5)
+    graph, true = sheet(40, hole, hole, fields=5)
+    ((_, predicted),) = tv_predictions(graph, {title})
+    np.testing.assert_allclose(predicted[:, hole], true[:, ~hole].mean(), atol=1e-5)
+    np.testing.assert_array_equal(predicted[:, ~hole], graph.values[:, ~hole])
 
 
 @pytest.mark.parametrize("title", MEAN_WEIGHTS)

@@ -69,6 +69,11 @@ def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8 GB.")
 
 
+def test_visibility_of_many_photographs_is_counted():
+    need = needed("entropy", [(256, 256)] * 1000, (2048, 2048), charts=0.945)
+    assert 4.2e9 <= need.bytes <= 4.6e9  # a process took 4.16e6 KiB
+
+
 @pytest.mark.parametrize("given", [None, "light.exr"])
 def test_a_search_for_the_light_is_counted_only_where_it_happens(given):
     asked, dark = [], Sizes([(8, 8)] * 3, lit=False)

@@ -26,7 +26,8 @@ SIDES = 48, 48, 48, 96  # texels per side, of each Gauss-Newton step
 CONTROLS, NEAR = 150, 8  # control points, and those between which a tilt is interpolated
 OPPOSITE = 0.06  # distance that is added for perpendicular normals, relative to the extent
 WIDEST = np.radians(3.0)  # first standard deviation of tilts at control points
-MISSED = 0.45  # sd of what materials explain instead, relative to the tilts' width (calibrated)
+MISSED = 0.45  # sd of tilts that materials absorb, relative to the width of tilts (calibrated)
+ROWS = 2**14  # of the field that become dense at a time
 STEPS = 20  # EM steps of each Gauss-Newton step
 
 
@@ -74,7 +75,9 @@ def refine_normals(
     if verb == "kept":
         return None
     root = np.linalg.cholesky(covariance)
-    variance = np.square(field @ root).sum(axis=1).reshape(2, -1).sum(axis=0)
+    parts = (field[first : first + ROWS] @ root for first in range(0, field.shape[0], ROWS))
+    squares = np.concatenate([np.square(part).sum(axis=1) for part in parts])
+    variance = squares.reshape(2, -1).sum(axis=0)
     sd = filled_image(fine, np.degrees(np.sqrt(variance + (MISSED * width) ** 2))[:, None])[..., 0]
     return RefinedNormals(made, image, sd.astype(np.float32))
 

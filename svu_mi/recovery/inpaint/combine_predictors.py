@@ -33,12 +33,13 @@ def tv_predictions(
     border = np.bincount(graph.pieces.piece, known)[graph.pieces.piece] > 0
     free = border & graph.near(~known, SMOOTHED_BORDER)  # other known values have no influence
     part = np.flatnonzero(graph.near(free, 1))
-    links, own, free = graph.smoother.restricted(part), known[part], free[part]
+    links = graph.smoother.restricted(part) if part.size else graph.smoother
+    own, free = known[part], free[part]
     for title, filled, edges in _initial_values(graph, titles, border, mean):
         trust = np.where(known, weights, MEAN_WEIGHTS[title] * graph.size / spread**2)[:, part]
         right, some = trust * np.where(known, values, mean)[:, part], filled[:, part]
         rounds = [None] if edges else [~own, *[None] * EDGE_ROUNDS]
-        for hidden in rounds if free.any() else ():
+        for hidden in rounds if part.size else ():
             smoother = links.with_precision(trust, some, hidden)
             some = np.where(own, values[:, part], smoother.solve_masked(right, some, free))
         filled = filled.copy()

@@ -89,7 +89,7 @@ class Smoother:
         return replace(self, own=_vector(precision, 1), start=start, masked=hidden)._completed()
 
     def restricted(self, texels: np.ndarray) -> "Smoother":
-        """Return the links between texels (t,), for ``with_precision``; others are lost."""
+        """Return the links of texels (t,), complete where all neighbours are among them."""
         own, place = np.arange(len(texels)), np.full(dr.width(self.around[0]), -1)
         place[texels] = own
         columns = [place[np.array(column, np.int64)[texels]] for column in self.around]
