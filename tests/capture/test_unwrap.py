@@ -60,7 +60,6 @@ def test_interrupted_unwrapping_ends_its_process(monkeypatch):
     monkeypatch.setattr(unwrapping, "LARGE", 1000)
     monkeypatch.setattr(unwrapping.subprocess, "Popen", recorded := Recorded())
     signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, 0.05)
     with pytest.raises(KeyboardInterrupt):
         unwrap(make_mesh("ball", noisy(3)))
     assert recorded.processes[0].poll() is not None
@@ -77,6 +76,7 @@ class Recorded:
 
     def __call__(self, words: list[str]) -> object:
         self.processes.append(self.make(["sleep", "60"] if words else words))
+        signal.setitimer(signal.ITIMER_REAL, 0.05)  # once the process is there
         return self.processes[-1]
 
 
