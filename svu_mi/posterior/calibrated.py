@@ -195,7 +195,7 @@ class CalibratedKernel(Kernel):
             return low, high
         middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * scale
         half = np.hypot((high - low) / 2, wide * middle)
-        least = 0.0
+        least = np.zeros_like(middle)
         if self.missing is not None:
             middle *= 1 - MEAN * self.missing[self.lane[texels]]
             least = self._own_moments(name, texels)[0]  # intervals contain the mean
