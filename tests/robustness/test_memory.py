@@ -63,7 +63,7 @@ def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
         "capture: needs 12 GB of memory, 2 GB available; --resolution 512 needs 1.6 GB."
     )
     assert refused(needed("entropy", [(512, 512)] * 10, (4096, 4096))) == (
-        "capture: needs 4.5 GB of memory, 2 GB available; --resolution 2048 needs 1.6 GB."
+        "capture: needs 4.6 GB of memory, 2 GB available; --resolution 2048 needs 1.7 GB."
     )
     need = needed("recover", SIXTY, (2048, 1024))
     assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8 GB.")
