@@ -448,7 +448,7 @@ def short(records: dict[str, Record]) -> list[Row]:
         shares = {name: [row[f"interval {name}"] for row in found] for name in "rmc"}
         traced = rows_of(records["calibration"], "traced")
         rows += [
-            ["The same with estimated noise (`default`)", both(row["rho"] for row in traced),
+            ["The same with estimated noise (`default`)", both(row["rho now"] for row in traced),
              f"{mean(row['halves'] for row in traced):.2f}: path tracing against itself"],
             ["90 % intervals that contain the truth: roughness, metallic, base colour",
              ", ".join(f"{mean(values):.2f}" for values in shares.values()), ".90"],

@@ -260,7 +260,8 @@ def _tables(record: Record) -> list[str]:
                digits(1 if key.startswith("psnr") else 2))
         for key, title in SHOWN.items()
     ]  # fmt: skip
-    traced = [[case["cell"], *(f"{value:.2f}" for value in case["rows"]["traced"].values())]
+    traced = [[case["cell"], *(digits(2)(case["rows"]["traced"].get(key, np.nan))
+                                for key in ("rho", "rho now", "halves"))]
               for case in record["cells"] if "traced" in case["rows"]]  # fmt: skip
     return [
         f"At most {JUDGED} texels per case; r, m and c are roughness, metallic and base colour.",
