@@ -172,6 +172,8 @@ def test_pieces_without_known_texels_get_the_mean(title: str) -> None:
     ((_, predicted),) = tv_predictions(graph, {title})
     np.testing.assert_allclose(predicted[:, hole], true[:, ~hole].mean(), atol=1e-5)
     np.testing.assert_array_equal(predicted[:, ~hole], graph.values[:, ~hole])
+    ((_, bright),) = tv_predictions(replace(graph, values=2 * graph.values), {title})
+    assert bright.max() == 1  # also where texels are known, as reflectance is
 
 
 @pytest.mark.parametrize("title", MEAN_WEIGHTS)

@@ -43,8 +43,8 @@ def tv_predictions(
             smoother = links.with_precision(trust, some, hidden)
             some = np.where(own, values[:, part], smoother.solve_masked(right, some, free))
         filled = filled.copy()
-        filled[:, part] = np.clip(some, 0, 1)
-        yield title, filled
+        filled[:, part] = some
+        yield title, np.clip(filled, 0, 1)
 
 
 def _initial_values(
