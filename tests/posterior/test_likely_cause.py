@@ -10,7 +10,8 @@ from support.helpers import unit_vectors
 
 from svu_mi.core.arrays import fibonacci
 from svu_mi.posterior.held_out_samples import HeldOutSamples
-from svu_mi.posterior.judge_prediction import clear_cause, judged
+from svu_mi.posterior.judge_prediction import judged
+from svu_mi.posterior.likely_cause import clear_cause
 from svu_mi.posterior.residuals import Surroundings
 
 VIEWS, TEXELS, FOLDS = 30, 240, 6
