@@ -27,7 +27,7 @@ from svu_mi.posterior.folds import blur_error
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest_interval
 from svu_mi.posterior.kernel import Kernel, Pair, observed_by
-from svu_mi.posterior.missing_light import MEAN, RMS, SD
+from svu_mi.posterior.missing_light import MISSING_MEAN, MISSING_RMS, MISSING_SD
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.posterior.quadrature import COLOR_PARTS, uniform_axis
 from svu_mi.presets import AngularPreset
@@ -140,7 +140,8 @@ class CalibratedKernel(Kernel):
         """Return mean and standard deviation (see ``Kernel``)."""
         mean, sd = self._own_moments(name, texels)
         sd = sd * self._factors(name, mean, sd, texels)
-        return mean, np.hypot(sd, mean * self._scale(texels, RMS)) if name == "base_color" else sd
+        scale = self._scale(texels, MISSING_RMS) if name == "base_color" else 0
+        return mean, np.hypot(sd, mean * scale)
 
     def _factors(
         self, name: str, mean: np.ndarray, sd: np.ndarray, texels: np.ndarray
@@ -191,13 +192,13 @@ class CalibratedKernel(Kernel):
     def widened_ends(self, name: str, level: float, ends: Pair, texels: np.ndarray) -> Pair:
         """Return the ends of intervals, given those of ``own_ends``."""
         low, high = (self._stretched(name, end, texels) for end in ends)
-        if name != "base_color" or not (scale := self._scale(texels, SD)).any():
+        if name != "base_color" or not (scale := self._scale(texels, MISSING_SD)).any():
             return low, high
         middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * scale
         half = np.hypot((high - low) / 2, wide * middle)
         least = np.zeros_like(middle)
         if self.missing is not None:
-            middle *= 1 - MEAN * self.missing[self.lane[texels]]
+            middle *= 1 - MISSING_MEAN * self.missing[self.lane[texels]]
             least = self._own_moments(name, texels)[0]  # intervals contain the mean
         return np.maximum(middle - half, 0), np.clip(middle + half, least, 1)
 

@@ -132,14 +132,12 @@ def _widened(
         light, up = observed.distant_light.environment, up_direction(observed.capture)
         support = support_error(light, up, normal, found=observed.plane is not None)
     index = dr.gather(mi.UInt32, texels.index, lanes).numpy().astype(np.int64)
-    shown, apart = kernel.problem.factors.views.numpy()[:, None] > 0, {}
-    for name in kernel.grid.axes:
-        means = np.where(shown, kernel.moments(name, lanes.numpy())[0], np.nan)
-        apart[name] = distance_from_neighbors(means, index, texels.resolution)
-    known = "base_color" in inputs.grid.known
-    if switches.occluded and not (known or switches.bounces):
-        chosen = lanes.numpy().astype(np.int64)
-        missing = missing_share(observed, chosen, kernel.moments("base_color", chosen)[0])
+    shown = kernel.problem.factors.views.numpy()[:, None] > 0
+    means = {name: kernel.moments(name, lanes.numpy())[0] for name in kernel.grid.axes}
+    apart = {name: distance_from_neighbors(np.where(shown, x, np.nan), index, texels.resolution)
+             for name, x in means.items()}  # fmt: skip
+    if switches.occluded and not ("base_color" in inputs.grid.known or switches.bounces):
+        missing = missing_share(observed, lanes.numpy(), means["base_color"])
     return replace(kernel, spread=inputs.test.spread, support=support, missing=missing, apart=apart)
 
 
@@ -279,6 +277,7 @@ def _posterior(
 
 
 def _used_texels(seen: Observed, switches: AngularPreset) -> np.ndarray:
+    """Return the seen texels with a sample that the preset uses."""
     whole = seen.clipped_coverage is None or uses_saturated_samples(switches)
     return seen.seen if whole else seen.seen[seen.coverage[seen.seen] > 0]
 

@@ -84,9 +84,11 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         model = alone.model(
             gathered_levels(inputs, switches), switches, plan.light_channels, np.arange(len(texels))
         )
+        fold_of_view = np.zeros(len(cameras), np.int64)
+        for number, views in enumerate(folds):
+            fold_of_view[views] = number
         samples = predict_samples(
-            alone, model, weighting_of(inputs.observed, switches),
-            np.argmax([np.isin(np.arange(len(cameras)), fold) for fold in folds], axis=0), there,
+            alone, model, weighting_of(inputs.observed, switches), fold_of_view, there,
             *_without_folds(posterior, spread, moments, shape),
         )  # fmt: skip
         prediction = judged(samples, Surroundings.of(inputs.observed, texels))

@@ -25,17 +25,16 @@ from svu_mi.posterior.observations import Observed
 
 # Photographs with all bounces need 1/2, those without need 0 (notebooks/design/calibration.md).
 MOST = 0.25
-MEAN, SD, RMS = MOST / 2, MOST / np.sqrt(12), MOST / np.sqrt(3)  # of u
+MISSING_MEAN, MISSING_SD, MISSING_RMS = MOST / 2, MOST / np.sqrt(12), MOST / np.sqrt(3)  # of u
 RAYS = 64  # per texel, over the sphere
 
 
 def missing_share(observed: Observed, texels: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Return s of (S,) texels with base colours (S, g), (S, g) float32."""
-    chosen = to_drjit(mi.UInt32, texels.astype(np.uint32))
     capture, scene = observed.capture, observed.views.scene
     if other_shapes(scene, capture.shape):  # a black cloth hides light, but reflects none
         scene = object_only_scene(capture)
-    hidden = hidden_share(scene, TexelLanes.of(observed.texels, chosen))
+    hidden = hidden_share(scene, observed.lanes(texels))
     seen = observed.visibility
     own = (seen.total.numpy() / np.maximum(seen.coverage.numpy(), 1))[texels]
     own = np.where(own > 0, own, seen.scale)  # only saturated, or black

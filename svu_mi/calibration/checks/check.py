@@ -127,8 +127,8 @@ def check(
     number = _findings("number", "unclear", few)
     with progress.stage("Checking views"):
         views = corrected = check_views(small)
-        unlike = _unlike(views)  # by masks it is certain, by contrast a guess
         masked = any(view.overlap is not None for view in views)
+        unlike = _unlike(views, masked)  # by masks it is certain, by contrast a guess
         strange = (unlike or odd) if masked else (odd or unlike)
         cameras = () if off else strange or _findings("cameras", *outline_note(capture))
         findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
@@ -140,9 +140,8 @@ def check(
     )
 
 
-def _unlike(views: tuple[ViewCheck, ...]) -> tuple[Finding, ...]:
+def _unlike(views: tuple[ViewCheck, ...], masked: bool) -> tuple[Finding, ...]:
     """Return a finding if single outlines fit the photographs much less than the others."""
-    masked = any(view.overlap is not None for view in views)
     fits = {view.name: view.overlap if masked else view.contrast for view in views}
     known = {name: fit for name, fit in fits.items() if fit is not None}
     usual = float(np.median(list(known.values()) or [0.0]))
