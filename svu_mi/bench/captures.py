@@ -20,7 +20,7 @@ from svu_mi.capture.rendering import render_capture
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.core.io.hashes import digest_of_file
-from svu_mi.core.io.provenance import is_as_written
+from svu_mi.core.io.provenance import entry_of
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.ground_truth import ground_truth
@@ -46,7 +46,7 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
     """
     key = key_of(scene_digests(case), case.defines, sizes.views, sizes.film, sizes.spp, sizes.seed)
     store = Store(folder)
-    if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
+    if store.load(MARK, key) is not None and _is_as_written(folder):
         with progress.stage(f"Loading {case.title}"):
             return load_capture(case.scene, folder, defines=case.defines)  # wherever it is now
     store.path(MARK).unlink(missing_ok=True)
@@ -58,6 +58,12 @@ def capture_of(case: Case, sizes: ProblemSizes, folder: Path, progress: Progress
         )  # fmt: skip
     store.save(MARK, key, {"cell": case.name, "settings": sizes.shared})
     return capture
+
+
+def _is_as_written(folder: Path) -> bool:
+    """Return whether all files of a capture folder exist and are unchanged."""
+    entry = entry_of(folder / capture_folder.FILE)
+    return entry is not None and all(entry.owns(folder, name) for name in entry.files)
 
 
 def scene_digests(case: Case) -> list[tuple[str, str]]:

@@ -19,14 +19,14 @@ def entropies(estimate: Estimate) -> np.ndarray:
     return np.array(estimate.entropy, np.float32)
 
 
-def view_counts(estimate: "Estimate | Recovery") -> np.ndarray:
+def coverages(estimate: "Estimate | Recovery") -> np.ndarray:
     """Return the number of views that see each texel, (T,) int64."""
     return np.array(estimate.coverage).astype(np.int64)
 
 
 def is_seen(estimate: "Estimate | Recovery") -> np.ndarray:
     """Return flags of texels that at least one view sees, (T,) bool."""
-    return view_counts(estimate) > 0
+    return coverages(estimate) > 0
 
 
 def texel_areas(estimate: "Estimate | Recovery") -> np.ndarray:

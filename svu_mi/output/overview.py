@@ -13,7 +13,7 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.errors import counted
 from svu_mi.output import object_views, style
-from svu_mi.output.estimate_arrays import entropies, is_seen, known_values, label_of, view_counts
+from svu_mi.output.estimate_arrays import coverages, entropies, is_seen, known_values, label_of
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import IntervalSummary, plain_percent
 from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
@@ -110,7 +110,7 @@ def _entropy_map(axes: Axes, estimate: Estimate) -> None:
 def _coverage_map(capture: Capture, estimate: Estimate, axes: Axes) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    counts, label = view_counts(estimate), f"views that see the texel, of {sum(capture.used)}"
+    counts, label = coverages(estimate), f"views that see the texel, of {sum(capture.used)}"
     bar = draw_scaled_map(
         axes, estimate, counts, label, limits=(0, max(counts.max(initial=0), 1)),
         colormap=style.VIEWS_COLORMAP, interpolation="nearest",
@@ -141,7 +141,7 @@ def _histogram(axes: Axes, estimate: Estimate) -> None:
     axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the label
     style.labels(axes, style.ENTROPY_ENDS, "% of texels")
     if part[-1] >= 100 * FULL:
-        views = np.median(view_counts(estimate)[seen][values >= edges[-2]])
+        views = np.median(coverages(estimate)[seen][values >= edges[-2]])
         number = counted(views, "photograph")
         text = f"last bar: {part[-1]:.0f} % of texels; median of {number} each"
         axes.set_title(text, loc="right", y=1.0, size=style.TEXT, color=style.FAINT, pad=6)

@@ -10,7 +10,7 @@ import numpy as np
 from svu_mi.capture.tonemap import srgb
 from svu_mi.errors import counted
 from svu_mi.output import style
-from svu_mi.output.estimate_arrays import entropies, label_of, open_axes, view_counts
+from svu_mi.output.estimate_arrays import coverages, entropies, label_of, open_axes
 from svu_mi.output.interval_summary import TOLERANCE, WIDEST, Intervals, has_estimated_light
 from svu_mi.output.panels import GUTTER, albedo_colors, map_colors
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
@@ -111,7 +111,7 @@ def surface_maps(
 
 def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
     """Return the maps of entropy and coverage."""
-    counts = view_counts(estimate)
+    counts = coverages(estimate)
     most = max(int(counts.max(initial=0)), 1)
     return [
         SurfaceMap(

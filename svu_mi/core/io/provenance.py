@@ -86,12 +86,6 @@ def entries_in(folder: Path) -> dict[str, Entry]:
     return {name: entry for name, entry in entries.items() if entry is not None}
 
 
-def is_as_written(folder: Path, record: str) -> bool:
-    """Return whether all files of a record exist and are unchanged."""
-    entry = entry_of(folder / record)
-    return entry is not None and all(entry.owns(folder, name) for name in entry.files)
-
-
 def is_inside(name: Any) -> bool:
     """Return whether a text is the relative path of a file below a folder."""
     if not isinstance(name, str) or not 0 < len(name) <= LONGEST or not name.isprintable():

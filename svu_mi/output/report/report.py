@@ -18,12 +18,12 @@ from svu_mi.core.progress import Stage
 from svu_mi.errors import counted
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import (
+    coverages,
     entropies,
     is_seen,
     known_values,
     label_of,
     open_axes,
-    view_counts,
 )
 from svu_mi.output.html import NARROW_SPACE, grouped, page_of, percent
 from svu_mi.output.interval_summary import (
@@ -172,7 +172,7 @@ def _summary(
     """Return the variables of the page's head."""
     seen = is_seen(estimate)
     entropy = entropies(estimate)[seen]
-    views = float(np.median(view_counts(estimate)[seen])) if len(entropy) else 0
+    views = float(np.median(coverages(estimate)[seen])) if len(entropy) else 0
     width, height = estimate.texels.resolution
     return {
         "seen": summary.seen_part,

@@ -8,13 +8,13 @@ import numpy as np
 
 from svu_mi.output.estimate_arrays import (
     column_and_row,
+    coverages,
     entropies,
     is_seen,
     label_of,
     mean_marginals,
     open_axes,
     prior_marginal,
-    view_counts,
 )
 from svu_mi.output.html import PageImage, grouped
 from svu_mi.output.interval_summary import interval_of
@@ -143,7 +143,7 @@ def example_texels(
             n: np.array(p, np.float64).reshape(p.shape[1], -1)
             for n, p in estimate.posterior.marginals([texel]).items()
         }
-        count = int(view_counts(estimate)[texel])
+        count = int(coverages(estimate)[texel])
         column, row = column_and_row(estimate, texel)
         yield {
             "name": name, "picture": frames[number] if place else None, "x": 100 * x, "y": 100 * y,
