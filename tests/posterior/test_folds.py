@@ -19,7 +19,8 @@ from svu_mi.capture.up_direction import up_direction
 from svu_mi.geometry.bitset import Bits
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.environment import read_environment
-from svu_mi.posterior import missing_light
+from svu_mi.light.light_tree import build_light_tree
+from svu_mi.light.light_visibility import trace_light_visibility
 from svu_mi.posterior.folds import (
     cluster_directions,
     compared,
@@ -277,8 +278,7 @@ def test_photographs_from_above_widen_base_color_below(capture, layout, monkeypa
 # --- light that the object reflects onto itself ---------------------------------------------
 
 
-def test_a_disk_hides_its_view_factor(monkeypatch):
-    monkeypatch.setattr(missing_light, "RAYS", 4096)
+def test_a_disk_hides_its_view_factor():
     up, radius, height = [0.0, 0.0, 1.0], 0.8, np.array([0.2, 0.5, 1.0, 2.0])
     disk = {"type": "disk", "to_world": mi.ScalarTransform4f().scale([radius, radius, 1])}
     scene = mi.load_dict({"type": "scene", "disk": disk})
@@ -287,7 +287,8 @@ def test_a_disk_hides_its_view_factor(monkeypatch):
         geometric_normal=mi.Normal3f(up), offset=mi.Float(0),
     )  # fmt: skip
     expected = radius**2 / (radius**2 + height**2)  # [Howell, catalog of configuration factors]
-    hidden = missing_light.hidden_share(scene, surface)
+    tree = build_light_tree(read_environment(mi.load_dict(sky())), 4096, 4096)
+    hidden = trace_light_visibility(scene, surface, tree).hidden_share(surface)
     np.testing.assert_allclose(hidden, expected, atol=0.01)
 
 
