@@ -21,12 +21,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.core.local_memory import QUAD, padded_to_quads, quad_count
 from svu_mi.geometry.neighbors import (
     group_means,
     group_neighbors,
     group_sums,
-    lanes_of,
     occupied_squares,
     over_neighbors,
 )
@@ -44,18 +42,17 @@ GROUPING_LIMIT = 0.7  # largest useful ratio of groups to texels
 class Smoother:
     """Matrix D + K of N independent fields over T texels.
 
-    A *vector* is a Float (4 Q T,): texel by texel, N fields padded to Q groups of four. All values
-    of a neighbour are thus adjacent in memory. A *lane* of a kernel is one group of four.
+    A *vector* is a Float (N T,), field by field.
 
     Attributes:
         fields: Number of fields, N.
         around: Neighbours of the texels, columns (T,) UInt32 of ``Neighbors``.
-        lanes: Neighbours of the lanes, columns (Q T,) UInt32.
+        lanes: Neighbours of the elements of a vector, columns (N T,) UInt32.
         strength, epsilon: lambda and epsilon of the links, opaque Floats.
         own: Diagonal of D, a vector of positive values.
         start: x0, a vector.
         diagonal: Diagonal of D + K, a vector.
-        masked: (T,) Bool, texels whose links have full strength whatever x0 is; or None.
+        masked: (N T,) Bool, elements whose links have full strength whatever x0 is; or None.
     """
 
     fields: int
@@ -74,9 +71,9 @@ class Smoother:
         epsilon: float,
     ) -> "Smoother":  # fmt: skip
         """Create the matrix from D = ``precision`` and x0 = ``values``, (N, T) each."""
-        own, start = _vector(precision, 1), _vector(values)
+        own, start = _vector(precision), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
-        lanes = lanes_of(around, quad_count(len(values)))
+        lanes = _lanes(around, len(values))
         return Smoother(len(values), tuple(around), lanes, *links, own, start, own)._completed()
 
     def with_precision(
@@ -85,8 +82,8 @@ class Smoother:
     ) -> "Smoother":  # fmt: skip
         """Return a copy with another D and, if given, another x0 and mask."""
         start = self.start if values is None else _vector(values)
-        hidden = None if masked is None else to_drjit(mi.Bool, masked)
-        return replace(self, own=_vector(precision, 1), start=start, masked=hidden)._completed()
+        hidden = None if masked is None else to_drjit(mi.Bool, np.tile(masked, self.fields))
+        return replace(self, own=_vector(precision), start=start, masked=hidden)._completed()
 
     def restricted(self, texels: np.ndarray) -> "Smoother":
         """Return the links of texels (t,), complete where all neighbours are among them."""
@@ -94,7 +91,7 @@ class Smoother:
         place[texels] = own
         columns = [place[np.array(column, np.int64)[texels]] for column in self.around]
         around = [to_drjit(mi.UInt32, np.where(c < 0, own, c).astype(np.uint32)) for c in columns]
-        return replace(self, around=around, lanes=lanes_of(around, quad_count(self.fields)))
+        return replace(self, around=around, lanes=_lanes(around, self.fields))
 
     def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> "Smoother":
         """Return the matrix of groups of 2 x 2 texels, given the group (T,) of each texel.
@@ -105,7 +102,7 @@ class Smoother:
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
         links = replace(
-            self, around=around, lanes=lanes_of(around, quad_count(self.fields)),
+            self, around=around, lanes=_lanes(around, self.fields),
             strength=strength, epsilon=epsilon, masked=None,
         )  # fmt: skip
         return links.with_precision(precision, values)
@@ -130,7 +127,6 @@ class Smoother:
         wanted = _vector(right)
         x = wanted / self.diagonal if start is None else _vector(start)
         goal = TOLERANCE**2 * dr.sum(dr.square(wanted) / self.diagonal)
-        dr.eval(x)
         return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST_ITERATIONS))
 
     def solve_masked(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -143,28 +139,22 @@ class Smoother:
     def sample_links(self, random: np.random.Generator) -> np.ndarray:
         """Draw from N(0, K), (N, T) float64, as the sum of one random force per link."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        groups, count = quad_count(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
-        lane = dr.arange(mi.UInt32, dr.width(self.lanes[0]))
-        texel, total = lane // groups, mi.Vector4f(0)
-        for column in self.lanes:
-            other, force = column // groups, mi.Vector4f()
-            for k in range(QUAD):
-                field = ((lane - texel * groups) * QUAD + k) * count
-                first, second = field + dr.minimum(texel, other), field + dr.maximum(texel, other)
-                force[k] = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
-            sign = dr.select(texel < other, mi.Float(1), mi.Float(-1))
-            pull = dr.sqrt(self._weight(column)) * (sign * force)
-            total = dr.select(other != texel, total + pull, total)
-        return self._table(_write_quads(total))
+        own, total = self._own, mi.Float(0)
+        for other in self.lanes:
+            first, second = dr.minimum(own, other), dr.maximum(own, other)
+            force = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
+            pull = dr.sqrt(self._weight(other)) * dr.select(own < other, force, -force)
+            total = dr.select(other != own, total + pull, total)
+        return self._table(total)
 
     def __matmul__(self, x: Any) -> Any:
-        """Return (D + K) x of an evaluated vector."""
+        """Return (D + K) x."""
+        dr.eval(x)
 
         def pulled(other: Any, total: Any) -> Any:
-            return dr.fma(-self._weight(other), dr.gather(mi.Vector4f, x, other), total)
+            return dr.fma(-self._weight(other), dr.gather(mi.Float, x, other), total)
 
-        total = self._read(self.diagonal) * self._read(x)
-        return _write_quads(over_neighbors(self.lanes, pulled, total))
+        return over_neighbors(self.lanes, pulled, self.diagonal * x)
 
     def _completed(self) -> "Smoother":
         """Return a copy with ``diagonal`` computed."""
@@ -172,27 +162,25 @@ class Smoother:
         def added(other: Any, total: Any) -> Any:
             return total + self._weight(other)
 
-        return replace(
-            self, diagonal=_write_quads(over_neighbors(self.lanes, added, self._read(self.own)))
-        )
+        diagonal = over_neighbors(self.lanes, added, self.own)
+        dr.eval(diagonal)
+        return replace(self, diagonal=diagonal)
 
-    def _read(self, vector: Any) -> Any:
-        """Load a vector as one Vector4f per lane."""
-        return dr.gather(mi.Vector4f, vector, dr.arange(mi.UInt32, dr.width(self.own) // QUAD))
+    @property
+    def _own(self) -> Any:
+        return dr.arange(mi.UInt32, dr.width(self.own))
 
     def _weight(self, other: Any) -> Any:
-        """Return the link weights between each lane and the lane ``other``, Vector4f."""
-        apart = self._read(self.start) - dr.gather(mi.Vector4f, self.start, other)
+        """Return the link weight between each element of a vector and the element ``other``."""
+        apart = self.start - dr.gather(mi.Float, self.start, other)
         if self.masked is not None:
-            groups, own = quad_count(self.fields), dr.arange(mi.UInt32, dr.width(other))
-            hidden = [dr.gather(mi.Bool, self.masked, lane // groups) for lane in (own, other)]
-            apart = dr.select(hidden[0] | hidden[1], 0, apart)
+            apart = dr.select(self.masked | dr.gather(mi.Bool, self.masked, other), 0, apart)
         return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
 
     def _descend(self, x: Any, rest: Any, free: Any, goal: Any, most: int) -> Any:
         step = rest / self.diagonal
-        size = dr.sum(rest * step)
-        dr.eval(x, rest, step, size, goal)
+        size = _dot(rest, step)
+        dr.eval(x, goal)
         for iteration in range(most):
             if iteration % CHECK_EVERY == 0 and size[0] <= goal[0]:
                 break
@@ -201,37 +189,35 @@ class Smoother:
 
     def _iterate(self, x: Any, rest: Any, step: Any, size: Any, free: Any) -> tuple[Any, ...]:
         turned = free * (self @ step)
-        dr.eval(turned)  # used twice; dr.sum alone would not store it
-        along = dr.sum(step * turned)
+        along = _dot(step, turned)
         length = dr.select(along > 0, size / along, 0)
         x, rest = dr.fma(length, step, x), dr.fma(-length, turned, rest)
         better = rest / self.diagonal
-        dr.eval(x, rest, better)
-        new = dr.sum(rest * better)
-        step = dr.fma(dr.select(size > 0, new / size, 0), step, better)
-        dr.eval(step)
-        return x, rest, step, new
+        dr.schedule(x)
+        new = _dot(rest, better)
+        return x, rest, dr.fma(dr.select(size > 0, new / size, 0), step, better), new
 
     def _table(self, vector: Any) -> np.ndarray:
         """Return a vector as (N, T) float64."""
-        rows = vector.numpy().reshape(-1, padded_to_quads(self.fields))
-        return np.array(rows.T[: self.fields], np.float64, order="C")
+        return np.array(vector.numpy().reshape(self.fields, -1), np.float64)
 
 
-def _vector(table: np.ndarray, beyond: float = 0) -> Any:
-    """Convert (N, T) values to a vector, padded with ``beyond``."""
-    padding = padded_to_quads(len(table)) - len(table)
-    rows = np.pad(table.astype(np.float32), ((0, padding), (0, 0)), constant_values=beyond)
-    return to_drjit(mi.Float, rows.T.ravel())
+def _vector(table: np.ndarray) -> Any:
+    """Convert (N, T) values to a vector."""
+    return to_drjit(mi.Float, table.astype(np.float32).ravel())
 
 
-def _write_quads(quads: Any) -> Any:
-    """Store one Vector4f per lane as an evaluated vector."""
-    vector = dr.empty(mi.Float, QUAD * dr.width(quads))
-    lane = dr.arange(mi.UInt32, dr.width(quads))
-    dr.scatter(vector, quads, lane, mode=dr.ReduceMode.NoConflicts)
-    dr.eval(vector)
-    return vector
+def _lanes(around: Sequence[Any], fields: int) -> list[Any]:
+    """Return the neighbours of the elements of a vector."""
+    first = np.arange(fields, dtype=np.uint32)[:, None] * np.uint32(dr.width(around[0]))
+    return [to_drjit(mi.UInt32, (first + np.array(column)).ravel()) for column in around]
+
+
+def _dot(a: Any, b: Any) -> Any:
+    """Return the inner product of two vectors, which are evaluated in the same kernel."""
+    product = a * b
+    dr.eval(a, b, product)
+    return dr.sum(product)
 
 
 def _normal(seed: Any, number: Any) -> Any:
