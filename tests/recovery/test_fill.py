@@ -61,7 +61,7 @@ def known_of(values: np.ndarray, texels: np.ndarray) -> KnownTexels:
 @pytest.mark.parametrize("likeness", [
     SymmetryPredictor("near"), SymmetryPredictor("level", Y), SymmetryPredictor("turned", Y),
     SymmetryPredictor("turned piece", Y),
-    SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)), SymmetryPredictor("repeated", Y, 4),
+    SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)), SymmetryPredictor("repeated", Y, (4,)),
 ])  # fmt: skip
 def test_predictors_use_similar_texels(likeness: SymmetryPredictor) -> None:
     """Bands around a cylinder: rotation or reflection predicts the far side, neighbours do not."""
@@ -70,7 +70,7 @@ def test_predictors_use_similar_texels(likeness: SymmetryPredictor) -> None:
     values = np.sin(9 * y)[None] * 0.5 + 0.5
     wanted = np.flatnonzero(x < -0.1)
     known = known_of(values, np.flatnonzero(x > 0))
-    predicted, alike = likeness.predict(pieces, known, wanted)
+    ((predicted, alike),) = likeness.predict(pieces, known, wanted)
     assert predicted.shape == (1, len(wanted)) and alike.all()
     error = np.abs(predicted - values[:, wanted])
     assert error.mean() < (0.03 if likeness.kind != "near" else 0.2)
@@ -83,13 +83,10 @@ def test_a_pattern_around_an_axis_is_continued() -> None:
     values = (np.sin(6 * np.arctan2(z, x)) > 0)[None].astype(float)
     known, wanted = known_of(values, np.flatnonzero(x > 0.02)), np.flatnonzero(x < -0.02)
     off = {}
-    for likeness in (
-        SymmetryPredictor("turned", Y),
-        SymmetryPredictor("repeated", Y, 6),
-        SymmetryPredictor("repeated", Y, 4),
-    ):
-        predicted, alike = likeness.predict(pieces, known, wanted)
-        off[likeness.title] = np.abs(predicted - values[:, wanted])[:, alike].mean()
+    for likeness in (SymmetryPredictor("turned", Y), SymmetryPredictor("repeated", Y, (6, 4))):
+        found = likeness.predict(pieces, known, wanted)
+        for title, (predicted, alike) in zip(likeness.titles, found, strict=True):
+            off[title] = np.abs(predicted - values[:, wanted])[:, alike].mean()
     assert off["repeated 6 times about y"] < 0.03
     assert min(off["turned about y"], off["repeated 4 times about y"]) > 0.3
 
@@ -109,9 +106,9 @@ def test_pieces_are_of_one_material() -> None:
         SymmetryPredictor("near"),
         SymmetryPredictor("turned piece", Y),
     ):
-        predicted, alike = likeness.predict(pieces, known, wanted)
+        ((predicted, alike),) = likeness.predict(pieces, known, wanted)
         assert alike.all(), likeness
-        np.testing.assert_allclose(predicted, values[:, wanted], atol=1e-9, err_msg=likeness.title)
+        np.testing.assert_allclose(predicted, values[:, wanted], atol=1e-9, err_msg=likeness.kind)
     middle = normalized_points(points)[piece == 1].mean(axis=0)
     np.testing.assert_allclose(pieces.middle[60:], np.tile(middle, (60, 1)), atol=1e-12)
 
@@ -121,7 +118,7 @@ def test_pieces_with_few_known_texels_do_not_predict() -> None:
     values = np.full((1, 1200), 0.4)
     some = known_of(values, np.concatenate([np.arange(100), 600 + np.arange(FEWEST - 1)]))
     for kind in ("piece", "near", "turned piece"):
-        _, alike = SymmetryPredictor(kind).predict(pieces, some, np.array([200, 700]))
+        ((_, alike),) = SymmetryPredictor(kind).predict(pieces, some, np.array([200, 700]))
         assert alike.tolist() == [True, False], kind
 
 
@@ -276,9 +273,8 @@ def test_predictor_without_neighbours_has_no_match() -> None:
     points = np.array([[0.5, 0, 0], [0.51, 0, 0], [-0.5, far, 0]], float)
     pieces = Pieces(points, np.zeros((3, 3)), np.zeros(3, np.int64))
     known = known_of(np.ones((1, 3)), np.array([0, 1]))
-    predicted, alike = SymmetryPredictor("mirrored", (1.0, 0.0, 0.0)).predict(
-        pieces, known, np.array([2])
-    )
+    mirrored = SymmetryPredictor("mirrored", (1.0, 0.0, 0.0))
+    ((predicted, alike),) = mirrored.predict(pieces, known, np.array([2]))
     assert not alike.any() and np.isfinite(predicted).all()
 
 

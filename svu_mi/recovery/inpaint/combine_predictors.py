@@ -69,7 +69,7 @@ def _initial_values(
     yield from ((title, start, False) for title in MEAN_WEIGHTS if title in titles)
 
 
-TITLES = (*MEAN_WEIGHTS, *(predictor.title for predictor in PREDICTORS))
+TITLES = (*MEAN_WEIGHTS, *(title for predictor in PREDICTORS for title in predictor.titles))
 
 
 def weighted_mean(graph: TexelGraph, weights: Weights) -> np.ndarray:
@@ -89,16 +89,18 @@ def predictions(
     """Yield title and values (N, w) of each predictor at w ``wanted`` texels."""
     for title, values in tv_predictions(graph, titles):
         yield title, values[:, wanted]
-    predictors = [predictor for predictor in PREDICTORS if predictor.title in titles]
+    predictors = [one for one in PREDICTORS if any(title in titles for title in one.titles)]
     if not predictors:
         return
     texels = np.flatnonzero(graph.known)
     examples = KnownTexels(texels, graph.values[:, texels], graph.weights[:, texels])
-    fallback, has_match = NEAR_PREDICTOR.predict(graph.pieces, examples, wanted)
+    ((fallback, has_match),) = NEAR_PREDICTOR.predict(graph.pieces, examples, wanted)
     fallback = np.where(has_match, fallback, examples.mean)  # where the predictor has no match
     for predictor in predictors:
         if predictor is NEAR_PREDICTOR:
-            yield predictor.title, fallback
+            yield predictor.titles[0], fallback
             continue
-        values, has_match = predictor.predict(graph.pieces, examples, wanted)
-        yield predictor.title, np.where(has_match, values, fallback)
+        found = predictor.predict(graph.pieces, examples, wanted)
+        for title, (values, has_match) in zip(predictor.titles, found, strict=True):
+            if title in titles:
+                yield title, np.where(has_match, values, fallback)

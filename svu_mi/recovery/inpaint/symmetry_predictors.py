@@ -5,8 +5,9 @@ painted with bands and repeated patterns. Each ``SymmetryPredictor`` averages kn
 match an unknown one under one such assumption. ``cross_validation`` measures its errors.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Literal
 
@@ -19,6 +20,8 @@ Kind = Literal[
     "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"
 ]  # fmt: skip
 Axis = tuple[float, float, float]
+Prediction = tuple[np.ndarray, np.ndarray]
+"""Values (N, w) of w texels, and a mask (w,) of texels with a match."""
 X, Y, Z = AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 CHUNK = 2**15  # texels per chunk of predictions
 FEWEST = 12  # least number of known texels for predictions within a piece
@@ -79,6 +82,11 @@ class KnownTexels:
         """Weighted mean of all known texels, (N, 1)."""
         return np.average(self.values, axis=1, weights=self.weights)[:, None]
 
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Weighted values and weights, (k, 2 N)."""
+        return np.concatenate([self.weights * self.values, self.weights]).T.copy()
+
 
 @dataclass(frozen=True)
 class SymmetryPredictor:
@@ -91,37 +99,43 @@ class SymmetryPredictor:
             piece``: similar height and radius relative to the axis of the piece. ``mirrored``:
             similar position after reflection. ``repeated``: similar position after rotation.
         axis: Axis through the centre of the object or piece; normal of the mirror plane.
-        count: Number of repetitions per turn.
+        counts: Numbers of repetitions per turn, one for each prediction.
     """
 
     kind: Kind
     axis: Axis = Y
-    count: int = 1
+    counts: tuple[int, ...] = (1,)
 
     @property
-    def title(self) -> str:
-        """Title, such as ``turned about y`` or ``repeated 6 times about y``."""
-        return TITLE_FORMATS[self.kind].format("xyz"[int(np.argmax(self.axis))], self.count)
+    def titles(self) -> list[str]:
+        """Titles of the predictions, such as ``turned about y``, ``repeated 6 times about y``."""
+        axis = "xyz"[int(np.argmax(self.axis))]
+        return [TITLE_FORMATS[self.kind].format(axis, count) for count in self.counts]
 
     def predict(
         self, pieces: Pieces, examples: KnownTexels, wanted: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return predictions (N, w) of w texels, and a mask (w,) of texels with a match."""
+    ) -> list[Prediction]:
+        """Return the predictions of w ``wanted`` texels."""
         if self.kind == "piece":
-            return _piece_means(pieces.piece, examples, wanted)
-        features, has_match = self._features(pieces), np.ones(len(wanted), bool)
+            return [_piece_means(pieces.piece, examples, wanted)]
+        features, has_match = self._features(pieces), np.ones((len(self.counts), len(wanted)), bool)
         # Also the mean of all texels if all features are equal.
         if self.kind == "all" or not np.ptp(features[examples.texels], axis=0).any():
-            return np.repeat(examples.mean, len(wanted), axis=1), has_match
-        values, settings = np.empty((len(examples.values), len(wanted))), KNN_SETTINGS[self.kind]
+            return [(np.repeat(examples.mean, len(wanted), axis=1), mask) for mask in has_match]
+        settings = KNN_SETTINGS[self.kind]
+        values = np.empty((len(self.counts), len(examples.values), len(wanted)))
         tree = scipy.spatial.cKDTree(features[examples.texels])
         for first in range(0, len(wanted), CHUNK):
             span = slice(first, first + CHUNK)
-            queries = self._queries(pieces, features, wanted[span])
-            values[:, span], has_match[span] = _knn_means(settings, tree, examples, queries)
+            sums = {turn: _knn_sums(settings, tree, examples, points)
+                    for turn, points in self._queries(pieces, features, wanted[span])}  # fmt: skip
+            for number, count in enumerate(self.counts):
+                total, weight = np.sum([sums[turn] for turn in _turns(count)], axis=0)
+                values[number, :, span] = total / np.maximum(weight, 1e-30)
+                has_match[number, span] = weight[0] > 0
         if settings.inside:
             has_match &= _piece_sizes(pieces.piece, examples.texels)[pieces.piece[wanted]] >= FEWEST
-        return values, has_match
+        return list(zip(values, has_match, strict=True))
 
     def _features(self, pieces: Pieces) -> np.ndarray:
         """Return the features (T, d) of the nearest-neighbour search."""
@@ -138,42 +152,44 @@ class SymmetryPredictor:
 
     def _queries(
         self, pieces: Pieces, features: np.ndarray, wanted: np.ndarray
-    ) -> Iterator[np.ndarray]:
-        """Yield query features of ``wanted`` texels, once per repetition."""
+    ) -> Iterator[tuple[Fraction, np.ndarray]]:
+        """Yield query features of ``wanted`` texels after each rotation, a fraction of a turn."""
         axis, points = np.asarray(self.axis), pieces.point[wanted]
         if self.kind == "mirrored":
-            yield points - 2 * (points @ axis)[:, None] * axis
+            yield Fraction(0), points - 2 * (points @ axis)[:, None] * axis
         elif self.kind == "repeated":
-            for step in range(1, self.count):
-                angle = 2 * np.pi * step / self.count
-                turn = scipy.spatial.transform.Rotation.from_rotvec(angle * axis)
-                yield turn.apply(points)
+            for turn in {turn for count in self.counts for turn in _turns(count)}:
+                rotation = scipy.spatial.transform.Rotation.from_rotvec(2 * np.pi * turn * axis)
+                yield turn, rotation.apply(points)
         else:
-            yield features[wanted]
+            yield Fraction(0), features[wanted]
 
 
-def _knn_means(
-    rule: KnnSettings, tree: scipy.spatial.cKDTree, known: KnownTexels, places: Iterable[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means of nearest neighbours, and a mask of queries with a match."""
-    count, parts = min(rule.nearest, len(known.texels)), []
-    for points in places:
-        found = np.ones(len(points), bool)
-        if rule.farthest < np.inf:  # few have a match; a bounded search is fast
-            nearest, _ = tree.query(points, distance_upper_bound=rule.farthest, workers=-1)
-            found = np.isfinite(nearest)
-        both = tree.query(points[found], count, workers=-1)
-        distance, index = (x.reshape(-1, count) for x in both)
-        usable = distance < (PIECE_DISTANCE / 2 if rule.inside else np.inf)
-        reach = np.where(usable, distance, 0).max(axis=1, keepdims=True)
-        scale = np.maximum(rule.bandwidth * reach, 1e-9)
-        near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * usable
-        weighted = known.weights[:, index] * near
-        sums = np.zeros((2, len(known.values), len(points)))
-        sums[:, :, found] = (weighted * known.values[:, index]).sum(axis=2), weighted.sum(axis=2)
-        parts.append(sums)
-    total, weight = np.sum(parts, axis=0)
-    return total / np.maximum(weight, 1e-30), weight[0] > 0
+def _turns(count: int) -> list[Fraction]:
+    """Return the rotations of ``count`` repetitions, without the identity if there are others."""
+    return [Fraction(step, count) for step in range(1, count)] or [Fraction(0)]
+
+
+def _knn_sums(
+    rule: KnnSettings, tree: scipy.spatial.cKDTree, known: KnownTexels, points: np.ndarray
+) -> np.ndarray:
+    """Return sums of weighted values and of weights of nearest neighbours, (2, N, w)."""
+    count, found = min(rule.nearest, len(known.texels)), np.ones(len(points), bool)
+    if rule.farthest < np.inf:  # few have a match; a bounded search is fast
+        nearest, _ = tree.query(points, distance_upper_bound=rule.farthest, workers=-1)
+        found = np.isfinite(nearest)
+    distance, index = (x.reshape(-1, count) for x in tree.query(points[found], count, workers=-1))
+    usable = distance < (PIECE_DISTANCE / 2 if rule.inside else np.inf)
+    reach = np.where(usable, distance, 0).max(axis=1, keepdims=True)
+    scale = np.maximum(rule.bandwidth * reach, 1e-9)
+    near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * usable
+    starts = np.arange(0, near.size + 1, count)
+    matrix = scipy.sparse.csr_array(
+        (near.ravel(), index.ravel(), starts), shape=(len(near), len(known.texels))
+    )
+    sums = np.zeros((len(points), known.table.shape[1]))
+    sums[found] = matrix @ known.table
+    return sums.T.reshape(2, -1, len(points))
 
 
 def _radial(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
@@ -209,5 +225,5 @@ PREDICTORS = (
     SymmetryPredictor("all"), SymmetryPredictor("piece"), NEAR_PREDICTOR,
     *(SymmetryPredictor(kind, axis) for kind in ("level", "turned", "turned piece", "mirrored")
       for axis in AXES),
-    *(SymmetryPredictor("repeated", axis, count) for axis in AXES for count in REPETITIONS),
+    *(SymmetryPredictor("repeated", axis, REPETITIONS) for axis in AXES),
 )  # fmt: skip

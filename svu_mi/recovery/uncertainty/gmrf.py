@@ -139,7 +139,7 @@ class Smoother:
     def sample_links(self, random: np.random.Generator) -> np.ndarray:
         """Draw from N(0, K), (N, T) float64, as the sum of one random force per link."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        own, total = self._own, mi.Float(0)
+        own, total = dr.arange(mi.UInt32, dr.width(self.own)), mi.Float(0)
         for other in self.lanes:
             first, second = dr.minimum(own, other), dr.maximum(own, other)
             force = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
@@ -165,10 +165,6 @@ class Smoother:
         diagonal = over_neighbors(self.lanes, added, self.own)
         dr.eval(diagonal)
         return replace(self, diagonal=diagonal)
-
-    @property
-    def _own(self) -> Any:
-        return dr.arange(mi.UInt32, dr.width(self.own))
 
     def _weight(self, other: Any) -> Any:
         """Return the link weight between each element of a vector and the element ``other``."""
