@@ -19,7 +19,7 @@ def with_known_gradient(value: Any, slopes: Sequence[Any], values: Sequence[Any]
     """
     inner = [slope * dr.replace_grad(dr.zeros(mi.Float, dr.width(x)), x)
              for slope, x in zip(slopes, values, strict=True)]  # fmt: skip
-    return dr.replace_grad(value, dr.sum(sum(inner)))
+    return dr.replace_grad(value, sum(map(dr.sum, inner)))
 
 
 def sign(value: Any) -> Any:

@@ -25,12 +25,12 @@ from svu_mi.light.band_limited import moment_map
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
-from svu_mi.recovery.regularizers.known_gradient import sign, with_known_gradient
-from svu_mi.recovery.sh.quadratic_error import look_up
+from svu_mi.recovery.regularizers.known_gradient import sign
+from svu_mi.recovery.sh.quadratic_error import sum_over_texels
 from svu_mi.reflection.lobes import view_albedo
 from svu_mi.reflection.mix_columns import Parts, combine_parts, diffuse_shading, dot, mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, mixture_derivative
-from svu_mi.statistics.gather_statistics import GRAZING, Values, flatten_values, mixing_values
+from svu_mi.statistics.gather_statistics import GRAZING, Values, mixing_values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +61,7 @@ class AngularObjective:
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss, a Float that is differentiable in the textures."""
-        values = look_up(textures, self.place)
-        with dr.suspend_grad():
-            loss, slopes = self._sums(dr.detach(values))
-            dr.eval(loss, slopes)
-        return (
-            with_known_gradient(dr.sum(loss), flatten_values(slopes), flatten_values(values))
-            * self.factor
-        )
+        return sum_over_texels(self._sums, textures, self.place) * self.factor
 
     def _sums(self, values: Values) -> tuple[Any, Values]:
         """Return the loss and its derivatives in all parameters, summed per texel."""

@@ -21,7 +21,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.recovery_options import DescentOptions
 from svu_mi.recovery.regularizers.known_gradient import with_known_gradient
 from svu_mi.recovery.regularizers.total_variation import absolute
-from svu_mi.recovery.sh.quadratic_error import energy, look_up
+from svu_mi.recovery.sh.quadratic_error import energy, sum_over_texels
 from svu_mi.recovery.svbrdf_textures import Textures
 from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.gather_statistics import Values, flatten_values
@@ -37,11 +37,7 @@ class TexelLoss:
 
     def __call__(self, textures: Mapping[str, Any], _: int = 0) -> Any:
         """Return the loss, a Float of width 1."""
-        values = look_up(textures, self.place)
-        with dr.suspend_grad():
-            loss, slopes = self._of(dr.detach(values))
-            dr.eval(loss, slopes)  # once, for both value and gradient
-        total = with_known_gradient(dr.sum(loss), flatten_values(slopes), flatten_values(values))
+        total = sum_over_texels(self._of, textures, self.place)
         return total * dr.opaque(mi.Float, 1 / dr.width(self.place))
 
 
