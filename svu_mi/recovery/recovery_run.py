@@ -59,7 +59,6 @@ class RecoveryRun:
     progress: Progress
     estimate_used: bool = field(default=False, init=False)
     surface_neighbors: Neighbors | None = field(default=None, init=False)
-    _variations: dict[tuple[str, float], LossTerm] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.capture, self.texels = self.observed.capture, self.observed.texels
@@ -175,13 +174,9 @@ class RecoveryRun:
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
 
     def total_variation(self, options: ShOptions | PathOptions) -> LossTerm:
-        """Return the total variation term, the same one for the same settings."""
-        key = options.tv_space, options.tv_epsilon
-        if key not in self._variations:
-            around = self.tv_neighbors(options)
-            variation = TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
-            self._variations[key] = per_texture(variation)
-        return self._variations[key]
+        """Return the total variation term."""
+        around = self.tv_neighbors(options)
+        return per_texture(TotalVariation(self.texels, around, epsilon=options.tv_epsilon))
 
     def free(self, textures: Textures) -> dict[str, object]:
         """Return the textures to recover, by name."""

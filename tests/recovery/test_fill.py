@@ -237,7 +237,7 @@ def test_scattered_known_texels_form_no_groups(monkeypatch) -> None:
 def judged_of(errors: np.ndarray) -> PredictorErrors:
     """Return predictor errors of one value, from errors (P, G, w) of two parts."""
     trials = [HoldoutErrors(e[:, None], np.full(e.shape[1], 1 / e.shape[1])) for e in errors]
-    return PredictorErrors.of(trials, slice(0, 1))
+    return PredictorErrors(np.stack([trial.products(slice(0, 1)) for trial in trials]))
 
 
 def test_filling_is_never_worse_than_tv_on_held_out_parts() -> None:

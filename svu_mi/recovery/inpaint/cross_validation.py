@@ -17,7 +17,7 @@ error than with s alone, up to a tolerance t:
 where <> is the mean product of errors.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -122,10 +122,6 @@ class PredictorErrors:
     """
 
     products: np.ndarray
-
-    @staticmethod
-    def of(trials: Sequence[HoldoutErrors], rows: slice) -> "PredictorErrors":
-        return PredictorErrors(np.stack([trial.products(rows) for trial in trials]))
 
     @cached_property
     def _means(self) -> np.ndarray:

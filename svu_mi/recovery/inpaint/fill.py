@@ -91,26 +91,24 @@ def _predictor_errors(
         stage.update(done, len(masks) + 1)
         trials.append(HoldoutErrors.of(graph.coarsest, hidden, distances))
     stage.update(len(masks), len(masks) + 1)
-    return {name: PredictorErrors.of(trials, field.rows(name)) for name in field.names}
+    rows_of = {name: field.rows(name) for name in field.names}
+    return {name: PredictorErrors(np.stack([trial.products(rows) for trial in trials]))
+            for name, rows in rows_of.items()}  # fmt: skip
 
 
 def _fused(
     fusion: Fusion, graph: TexelGraph, errors_of: Mapping[str, PredictorErrors], weights: Weights
 ) -> Filled:
     """Fuse unknown texels with weighted means of the predictors."""
-    predicted, spread = weighted_mean(graph, weights), variance_of(fusion.field, graph.known)
+    predicted = weighted_mean(graph, weights)
+    least = graph.values[:, graph.known].var(axis=1, keepdims=True)
     errors = {name: 0.0 for name in NAMES}
     for name, each in errors_of.items():
         rows, squares = TextureField.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
-        sd = np.sqrt(np.maximum(squares.max(axis=0)[:, None], spread[rows]))
+        sd = np.sqrt(np.maximum(squares.max(axis=0)[:, None], least[rows]))
         fusion.fuse(name, ~graph.known, predicted[rows], sd)
     return Filled(fusion.fused_field(~graph.known), ~graph.known, weights, errors)
-
-
-def variance_of(field: TextureField, known: np.ndarray) -> np.ndarray:
-    """Return the variance of ``known`` texels, (N, 1): lower limit for predictions."""
-    return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 
 def filled_values(graph: TexelGraph, weights: Weights) -> np.ndarray:

@@ -208,15 +208,11 @@ def _piece_sizes(piece: np.ndarray, texels: np.ndarray) -> np.ndarray:
     return np.bincount(piece[texels], minlength=int(piece.max()) + 1)
 
 
-def _piece_means(
-    piece: np.ndarray, examples: KnownTexels, wanted: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _piece_means(piece: np.ndarray, examples: KnownTexels, wanted: np.ndarray) -> Prediction:
     size, owner = _piece_sizes(piece, examples.texels), piece[examples.texels]
-    means = []
-    for values, weights in zip(examples.values, examples.weights, strict=True):
-        total = np.bincount(owner, weights * values, len(size))
-        means.append(total / np.maximum(np.bincount(owner, weights, len(size)), 1e-30))
-    return np.array(means)[:, piece[wanted]], size[piece[wanted]] >= FEWEST
+    sums = np.stack([np.bincount(owner, column, len(size)) for column in examples.table.T])
+    total, weight = sums[:, piece[wanted]].reshape(2, -1, len(wanted))
+    return total / np.maximum(weight, 1e-30), size[piece[wanted]] >= FEWEST
 
 
 NEAR_PREDICTOR = SymmetryPredictor("near")

@@ -107,18 +107,20 @@ class GlobalSharing(Regularizer):
         names = ("tau", "seeding", "divergence", "anchored")
         return {"seeds": len(self.seeds)} | {name: getattr(self, name) for name in names}
 
-    def _texels(self) -> Texels:
+    @property
+    def texels(self) -> Texels:  # type: ignore[override]
+        """Texels of the estimate."""
         return self.estimate.texels
 
     def pull(self) -> np.ndarray:
         """Return the total weight of each texel, sum over seeds of w_pq, (T,) float32."""
-        count = self.estimate.texels.count
+        count = self.texels.count
         weights = np.array(self.weights, np.float64).reshape(len(self.seeds), count)
         return weights.sum(axis=0).astype(np.float32)
 
     def image(self) -> np.ndarray:
         """Return ``pull`` as an (H, W) float32 image, 0 outside the charts."""
-        return self.estimate.texels.to_image(self.pull())
+        return self.texels.to_image(self.pull())
 
     def _chosen_seeds(self) -> np.ndarray:
         """Return the texel indices of the seeds, (S,) int64."""
@@ -137,13 +139,13 @@ class GlobalSharing(Regularizer):
         """Return value and gradient; each lane is a texel and loops over all seeds."""
         if len(self.seeds) == 0:
             return mi.Float(0), dr.zeros(mi.Float, dr.width(values))
-        index = self.estimate.texels.index
+        index = self.texels.index
         psi = [dr.gather(mi.Float, values, index * channels + c) for c in range(channels)]
         seeds = [dr.gather(mi.Float, column, self._seeds) for column in psi]
         dr.eval(psi, seeds)
         total, pull = self._pull(psi, seeds)
         dr.eval(total, pull)
-        scale = 1 / dr.opaque(mi.Float, self.estimate.texels.count)
+        scale = 1 / dr.opaque(mi.Float, self.texels.count)
         gradient = dr.zeros(mi.Float, dr.width(values))
         for c in range(channels):
             dr.scatter(gradient, 2 * scale * pull[c], index * channels + c)
@@ -155,8 +157,8 @@ class GlobalSharing(Regularizer):
 
     def _pull(self, psi: list[Any], seeds: list[Any]) -> tuple[Any, list[Any]]:
         """Return sum_q w_pq |psi_p - psi_q|^2 and, by channel, sum_q w_pq (psi_p - psi_q)."""
-        lane = dr.arange(mi.UInt32, self.estimate.texels.count)
-        stride = dr.opaque(mi.UInt32, self.estimate.texels.count)
+        lane = dr.arange(mi.UInt32, self.texels.count)
+        stride = dr.opaque(mi.UInt32, self.texels.count)
         count = dr.opaque(mi.UInt32, len(self.seeds))
 
         def body(seed: Any, total: Any, *pull: Any) -> tuple[Any, ...]:
@@ -168,7 +170,7 @@ class GlobalSharing(Regularizer):
                 moved.append(dr.fma(weight, apart, force))
             return seed + 1, total, *moved
 
-        start = (dr.zeros(mi.Float, self.estimate.texels.count) for _ in range(len(psi) + 1))
+        start = (dr.zeros(mi.Float, self.texels.count) for _ in range(len(psi) + 1))
         total, *pull = fold(0, count, body, *start)
         return total, pull
 
@@ -176,7 +178,7 @@ class GlobalSharing(Regularizer):
         self, gradient: Any, psi: list[Any], seeds: list[Any], scale: Any
     ) -> None:
         """Add the gradient at the seeds: - sum_p w_pq (psi_p - psi_q)."""
-        count, index = self.estimate.texels.count, self.estimate.texels.index
+        count, index = self.texels.count, self.texels.index
         lane = dr.arange(mi.UInt32, dr.width(self.weights))
         seed = lane // dr.opaque(mi.UInt32, count)
         texel = lane - seed * dr.opaque(mi.UInt32, count)

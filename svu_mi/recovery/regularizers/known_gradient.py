@@ -30,6 +30,8 @@ def sign(value: Any) -> Any:
 class Regularizer:
     """Loss of one texture. Subclasses compute value and gradient together in ``_of``."""
 
+    texels: Texels
+
     def __call__(self, texture: Any) -> Any:
         """Return the loss of a texture, a differentiable Float of width 1.
 
@@ -40,7 +42,7 @@ class Regularizer:
             OptionError: The texture is not a TensorXf, such as an 8-bit one without gradient.
             ShapeError: The texture has another resolution.
         """
-        name, (width, height) = type(self).__name__, self._texels().resolution
+        name, (width, height) = type(self).__name__, self.texels.resolution
         if not isinstance(texture, mi.TensorXf):
             remedy = "wrap it in mi.TensorXf."
             if dr.is_tensor_v(texture) and not dr.is_float_v(texture):
@@ -59,16 +61,13 @@ class Regularizer:
         dr.make_opaque(gradient)  # a literal 0 would cut the dependence on the texture
         return with_known_gradient(value, [gradient], [texture.array])
 
-    def _texels(self) -> Texels:
-        raise NotImplementedError
-
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Return the loss, and its derivatives in all values."""
         raise NotImplementedError
 
     def _neighbors(self, mesh: Any) -> Neighbors:
         """Return the neighbours of the texels; a ``Neighbors`` is returned unchanged."""
-        texels = self._texels()
+        texels = self.texels
         around = mesh if isinstance(mesh, Neighbors) else neighbors(texels, mesh)
         if around.count != texels.count:
             raise ShapeError(

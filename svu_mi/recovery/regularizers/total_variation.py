@@ -59,9 +59,6 @@ class TotalVariation(Regularizer):
         object.__setattr__(self, "_around", {1: columns})
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
 
-    def _texels(self) -> Texels:
-        return self.texels
-
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Return value and gradient; each lane is a channel of a texel."""
         epsilon = dr.opaque(mi.Float, self.epsilon) if self.epsilon else None

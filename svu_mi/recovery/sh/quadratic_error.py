@@ -131,9 +131,7 @@ def sum_over_texels(
 ) -> Any:
     """Return the sum of the losses of texels, a Float that is differentiable in the textures.
 
-    Args:
-        loss_of: Function that returns (S,) losses, and their derivatives in all parameters.
-        textures, place: See ``look_up``.
+    ``loss_of`` returns the loss of each texel, and its derivatives in all parameters.
     """
     flat, gradients = [textures[name].array for name in CHANNELS], []
     with dr.suspend_grad():

@@ -26,7 +26,7 @@ from svu_mi.recovery.inpaint.cross_validation import holdout_masks
 from svu_mi.recovery.inpaint.diffusion.conditioning_views import ConditioningViews
 from svu_mi.recovery.inpaint.diffusion.load_weights import load_model
 from svu_mi.recovery.inpaint.diffusion.model_interface import DiffusionOptions, MaterialModel
-from svu_mi.recovery.inpaint.fill import fill, filled_values, variance_of
+from svu_mi.recovery.inpaint.fill import fill, filled_values
 from svu_mi.recovery.inpaint.fill_result import Answer, Filled, Fusion, ImageSource, ModelReport
 from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
@@ -106,7 +106,7 @@ class _MultiViewInference:
             for mask in masks
         ]
         fusion, answers = Fusion(self.field, self.shown, start.field), []
-        spread = variance_of(self.field, graph.known)
+        least = graph.values[:, graph.known].var(axis=1, keepdims=True)
         rest = Task(start.field.values, graph.known, start.filled)
         used = tuple(np.flatnonzero(self.capture.used).tolist())
         for source in get_args(ImageSource):
@@ -123,7 +123,7 @@ class _MultiViewInference:
             answers.append(answer)
             for name, error in answer.errors.items():
                 rows = self.field.rows(name)
-                sd = np.sqrt(np.maximum(error**2, 0 if photographed else spread[rows]))
+                sd = np.sqrt(np.maximum(error**2, 0 if photographed else least[rows]))
                 fusion.fuse(name, answer.reached, values[rows], sd)
         reached = start.filled & rest.known
         invented = ModelReport(self.model.title, self.model.licence, tuple(answers), reached)
