@@ -67,11 +67,10 @@ class Regularizer:
 
     def _neighbors(self, mesh: Any) -> Neighbors:
         """Return the neighbours of the texels; a ``Neighbors`` is returned unchanged."""
-        texels = self.texels
-        around = mesh if isinstance(mesh, Neighbors) else neighbors(texels, mesh)
-        if around.count != texels.count:
+        around = mesh if isinstance(mesh, Neighbors) else neighbors(self.texels, mesh)
+        if around.count != self.texels.count:
             raise ShapeError(
-                f"{type(self).__name__}: expected neighbours of {texels.count} texels, got "
+                f"{type(self).__name__}: expected neighbours of {self.texels.count} texels, got "
                 f"neighbours of {around.count}."
             )
         return around
