@@ -14,13 +14,11 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
 from svu_mi.capture.normal_map import normal_map
 from svu_mi.capture.scene import require_variant
+from svu_mi.capture.uv_charts import covering_faces
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.geometry.mapped_normals import mapped_normals
-from svu_mi.geometry.rasterize_uv import rasterize
 
-OVERLAP_LIMIT = 0.05  # largest fraction of overlapping texels, which are omitted
-OUTSIDE_LIMIT = 1e-3  # largest fraction of faces outside the unit square
 MAX_RESOLUTION = 16384
 CHUNK = 2**19  # texels interpolated at once, at 700 bytes each
 COARSEST = 1e-4  # largest rounding step of coordinates, relative to the mesh's extent
@@ -193,14 +191,8 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
             f"{name} is {_extent(source):g} units wide, but single precision resolves only "
             f"{_step(source):g} at its position; move the scene closer to the origin."
         )
-    owner, count = rasterize(_unit_square(source, name)[source.faces], (width, height))
+    owner, count = covering_faces(source, name, (width, height))
     overlapping = int((count > 1).sum())
-    covered = int((count > 0).sum())
-    if overlapping > OVERLAP_LIMIT * covered:
-        raise _mesh_error(
-            f"{name} has overlapping UV charts: {overlapping} of {covered} texels are "
-            "covered by several faces; {}, or lay out UVs without overlap."
-        )
     single = np.flatnonzero(count == 1)
     face_area = _face_normals(source)[1]
     flat = face_area[owner[single]] <= 0
@@ -247,29 +239,6 @@ def size_of(resolution: Any) -> tuple[int, int]:
             f"The texel grid's resolution must be one or two whole numbers, got {resolution!r}."
         ) from error
     return width, height
-
-
-def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
-    """Return the UVs; raise if they are not finite or outside the unit square."""
-    assert source.uvs is not None
-    if not np.isfinite(source.uvs).all():
-        raise MeshError(f"{name} has UVs that are NaN or infinite; lay them out again.")
-    center = source.uvs[source.faces].mean(axis=1)
-    outside = ((center < -1e-6) | (center > 1 + 1e-6)).any(axis=1)
-    if outside.sum() > OUTSIDE_LIMIT * len(outside):
-        raise _mesh_error(
-            f"{name}: {int(outside.sum())} of {len(outside)} faces have UVs outside [0, 1] "
-            "(tiles or UDIMs are not supported); {}."
-        )
-    return source.uvs
-
-
-def _mesh_error(words: str) -> MeshError:
-    """Return an error; ``{}`` in its text is replaced by advice on computing new UVs."""
-    return MeshError(
-        words.replace("{}", "use load_capture(unwrap=True)"),
-        shell=words.replace("{}", "use --unwrap"),
-    )
 
 
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,7 @@ ROWS = 8  # largest number of hypotheses in a table
 LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "cameras": "Accuracy of the poses", "light": "Environment map",
-    "texture": "Texture coordinates",
+    "texture": "Texture coordinates", "uvs": "Layout of the UVs",
     "gain": "Gains or outliers", "saturation": "Saturated pixels",
     "sources": "Sources of the light", "ignored": "Ignored effects",
     "number": "Number of photographs",

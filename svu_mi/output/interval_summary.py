@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 from svu_mi.output.estimate_arrays import is_seen, label_of, open_axes, texel_areas
 from svu_mi.output.html import NARROW_SPACE, percent
 from svu_mi.posterior.estimate import Estimate

@@ -9,7 +9,7 @@ import numpy as np
 import svu_mi
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 from svu_mi.parameters import CHANNELS
 from svu_mi.posterior.estimate import Estimate
 from svu_mi.recovery.uncertainty.texture_field import INTERVAL_MASS, TextureField

@@ -19,7 +19,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb, tone_mapped, with_bounds
 from svu_mi.errors import OptionError
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views, style
 from svu_mi.output.estimate_arrays import is_seen, label_of, prior_marginal

@@ -10,7 +10,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter

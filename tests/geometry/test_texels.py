@@ -10,9 +10,9 @@ from support.helpers import ball
 
 from svu_mi.capture.mesh import MeshArrays, make_mesh
 from svu_mi.capture.unwrap import unwrap, unwrap_cached
+from svu_mi.capture.uv_charts import rasterize
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.geometry import texels as texels_module
-from svu_mi.geometry.rasterize_uv import rasterize
 from svu_mi.geometry.texels import texels
 
 

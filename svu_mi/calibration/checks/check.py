@@ -56,6 +56,7 @@ from svu_mi.capture.mesh_scale import wrong_scale
 from svu_mi.capture.replace_material import is_same, other_shapes
 from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
 from svu_mi.capture.up_direction import is_seen_from_above
+from svu_mi.capture.uv_charts import unusable_uvs
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OptionError, SvuError, first_of
 from svu_mi.geometry.texels import texels
@@ -131,7 +132,9 @@ def check(
         unlike = _unlike(views, masked)  # by masks it is certain, by contrast a guess
         strange = (unlike or odd) if masked else (odd or unlike)
         cameras = () if off else strange or _findings("cameras", *outline_note(capture))
-        findings = (*axial, *cameras, gain, *number, *over, *sources, *_ignored(capture))
+        uvs = _findings("uvs", "wrong", unusable_uvs(arrays(capture.mesh), "The mesh"))
+        others = (*number, *uvs, *over, *sources, *_ignored(capture))
+        findings = (*axial, *cameras, gain, *others)
         names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
         if names or scale != 1:
             corrected = check_views(apply_fixes(scaled, find_fixes(names), axes))

@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 
 Question = Literal[
-    "number", "poses", "cameras", "light", "texture", "gain", "saturation", "sources", "ignored"
+    "number", "poses", "cameras", "light", "texture", "uvs", "gain", "saturation", "sources",
+    "ignored",
 ]  # fmt: skip
 Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
@@ -35,9 +36,9 @@ class Finding:
 
     Attributes:
         question: Tested part: ``number`` (of the photographs), ``poses`` (cameras and mesh),
-            ``cameras`` (small errors of their poses), ``light``, ``texture``, ``gain`` (of the
-            photographs), ``saturation``, ``sources`` (of the light) or ``ignored`` (unsupported
-            parts of the scene).
+            ``cameras`` (small errors of their poses), ``light``, ``texture``, ``uvs`` (their
+            layout), ``gain`` (of the photographs), ``saturation``, ``sources`` (of the light) or
+            ``ignored`` (unsupported parts of the scene).
         verdict: ``fits``; ``wrong`` (corrected by ``fixes``, or as ``sentence`` says); ``unclear``
             (probably wrong, with several possible causes or no known cause); ``unknown`` (not
             determined by the photographs); ``note`` (information only).

@@ -56,6 +56,7 @@ from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import require_variant, to_world
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.capture.up_direction import up_of_poses
+from svu_mi.capture.uv_charts import unusable_uvs
 from svu_mi.core.io.output_folder import writing
 from svu_mi.core.memory import Sizes
 from svu_mi.core.validation import require_views
@@ -63,6 +64,7 @@ from svu_mi.errors import CaptureError, OptionError, are
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 TABLE = 4.0  # side of a table, in diagonals of the object
+NEW_UVS = "import again with --geometry-only, which computes new UVs and ignores textures"
 MAX_DEPTH = 6  # path depth for renderings of the written scene
 PIXELS_AT_A_TIME = 2**26  # pixels that are converted in parallel, about 60 bytes each
 TABLE_IN_THE_DARK = (
@@ -222,6 +224,8 @@ class ImportPlan:
         if mesh.uvs is None:
             mesh = capture_mesh.arrays(unwrap(capture_mesh.make_mesh(OBJECT, mesh), label))
             notes.append(f"{label}: has no UVs; UVs by xatlas are stored in {MESH}.")
+        elif problem := unusable_uvs(mesh, label, NEW_UVS):
+            notes.append(problem)
         normals = geometry.normals
         if normals is not None and (share := mirrored_share(mesh)) > MIRRORED:
             normals = None

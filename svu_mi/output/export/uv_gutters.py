@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, make_mesh
+from svu_mi.capture.uv_charts import rasterize
 from svu_mi.errors import CaptureError, MeshError
-from svu_mi.geometry.rasterize_uv import dilate, rasterize
+from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.texels import barycentric, texels
 from svu_mi.output.export.asset import SD, Asset
 from svu_mi.output.maps import GUTTER

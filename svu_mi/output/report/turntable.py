@@ -14,7 +14,7 @@ from svu_mi.capture.sensors import bounding_sphere, film_size, object_sensor, pr
 from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import to_drjit
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import object_views
 from svu_mi.output.object_views import front_and_right

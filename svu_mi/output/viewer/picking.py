@@ -12,7 +12,7 @@ from svu_mi.capture.tonemap import object_only_scene
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.identifiers import markdown_text
 from svu_mi.errors import OptionError, first_of
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.texels import Texels
 from svu_mi.output import style
 from svu_mi.output.estimate_arrays import column_and_row, label_of, open_axes

@@ -20,7 +20,7 @@ from svu_mi.capture.importers.import_capture import ImportOptions, import_captur
 from svu_mi.capture.importers.mesh_files import read_textured_mesh
 from svu_mi.capture.importers.registry import read_source
 from svu_mi.capture.importers.source import ENVIRONMENT_AXES, Light, Source, frame_of
-from svu_mi.capture.mesh import arrays
+from svu_mi.capture.mesh import arrays, write_ply
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import affine, describe, make_sensor
 from svu_mi.core.io.exr import read_exr, write_exr
@@ -184,6 +184,25 @@ def test_a_table_stands_under_the_object(original, tmp_path):
     np.testing.assert_allclose(np.linalg.norm(pose[:3, :2], axis=0), wide, rtol=1e-5)
     reflectance = np.array(mi.traverse(table.bsdf())["reflectance.value"]).ravel()
     np.testing.assert_allclose(reflectance, 0.25)
+
+
+@pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
+def test_overlapping_uvs_are_named_at_import_and_by_the_check(original, tmp_path):
+    """Both halves of the texture share one half, as of mirrored models."""
+    flat = read_textured_mesh(original.source.mesh).mesh
+    halves = flat.uvs * [-1, 1] + [1, 0]
+    folded = replace(flat, uvs=np.where(flat.uvs[:, :1] > 0.5, halves, flat.uvs))
+    write_ply(tmp_path / "folded.ply", "folded", folded)
+    options = {"mesh": tmp_path / "folded.ply", "every": 4}
+    notes = import_capture(original.source, tmp_path / "capture", ImportOptions(**options))
+    (said,) = [note for note in notes if "overlapping UV charts" in note]
+    assert said.startswith(str(tmp_path / "folded.ply")) and "--geometry-only" in said
+    found = svu.check(svu.load_capture(tmp_path / "capture")).findings
+    (uvs,) = [one for one in found if one.question == "uvs"]
+    assert uvs.verdict == "wrong" and "--unwrap" in uvs.sentence
+    again = ImportOptions(**options, geometry_only=True)
+    notes = import_capture(original.source, tmp_path / "capture", again)
+    assert not any("overlapping UV charts" in note for note in notes)
 
 
 def test_a_flash_is_the_light(original, tmp_path):

@@ -18,8 +18,8 @@ from svu_mi.capture.capture import Capture
 from svu_mi.capture.sensors import film_size, scaled_sensor, sensors_like, windowed_sensor
 from svu_mi.capture.tonemap import ObjectView, object_only_scene, resized, white_radiance
 from svu_mi.core.arrays import to_drjit
+from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.packed_views import LARGEST_FILM, Views, pack_sensors
-from svu_mi.geometry.rasterize_uv import dilate
 from svu_mi.geometry.sample_view import TexelLanes, sample_view, sample_visible
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.inpaint.diffusion.model_interface import ModelInput

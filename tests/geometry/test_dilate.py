@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.geometry.rasterize_uv import dilate
+from svu_mi.geometry.dilate import dilate
 
 
 def distances(valid: np.ndarray) -> np.ndarray:

@@ -1,19 +1,71 @@
-"""Rasterisation of UV triangles, and dilation of textures beyond UV charts.
+"""Rasterisation of UV charts, which must be in the unit square and must not overlap.
 
 One lane per face loops over its bounding box. Edge functions are exactly antisymmetric, and with
 the top-left rule a texel centre on a shared edge belongs to one face: counts above 1 are overlaps.
 """
 
-from functools import lru_cache
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import scipy
 
+from svu_mi.capture.mesh import MeshArrays
 from svu_mi.core.arrays import to_drjit
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import MeshError
+
+OVERLAP_LIMIT = 0.05  # largest fraction of overlapping texels, which are omitted
+OUTSIDE_LIMIT = 1e-3  # largest fraction of faces outside the unit square
+UNWRAP = "use --unwrap"
+CHECKED = (256, 256)  # texels of a check
+
+
+def covering_faces(
+    mesh: MeshArrays, name: str, resolution: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the last face (-1: none) and the number of faces at each texel centre, (H * W,).
+
+    Args:
+        mesh: A mesh with UVs.
+        name: Name of the mesh, for messages.
+        resolution: (width, height) in texels.
+
+    Raises:
+        MeshError: UVs are not finite, outside of the unit square, or overlap.
+    """
+    assert mesh.uvs is not None
+    if not np.isfinite(mesh.uvs).all():
+        raise MeshError(f"{name} has UVs that are NaN or infinite; lay them out again.")
+    center = mesh.uvs[mesh.faces].mean(axis=1)
+    outside = ((center < -1e-6) | (center > 1 + 1e-6)).any(axis=1)
+    if outside.sum() > OUTSIDE_LIMIT * len(outside):
+        raise _error(
+            f"{name}: {int(outside.sum())} of {len(outside)} faces have UVs outside [0, 1] "
+            "(tiles or UDIMs are not supported); {}."
+        )
+    owner, count = rasterize(mesh.uvs[mesh.faces], resolution)
+    overlapping, covered = int((count > 1).sum()), int((count > 0).sum())
+    if overlapping > OVERLAP_LIMIT * covered:
+        raise _error(
+            f"{name} has overlapping UV charts: {overlapping} of {covered} texels are "
+            "covered by several faces; {}, or lay out UVs without overlap."
+        )
+    return owner, count
+
+
+def unusable_uvs(mesh: MeshArrays, name: str, remedy: str = UNWRAP) -> str | None:
+    """Return a sentence if ``covering_faces`` refuses the UVs of a mesh, with this remedy."""
+    try:
+        covering_faces(mesh, name, CHECKED)
+    except MeshError as error:
+        return error.shell.replace(UNWRAP, remedy)
+    return None
+
+
+def _error(words: str) -> MeshError:
+    """Return an error; ``{}`` in its text is replaced by advice on computing new UVs."""
+    unwrap = words.replace("{}", "use load_capture(unwrap=True)")
+    return MeshError(unwrap, shell=words.replace("{}", UNWRAP))
 
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -81,42 +133,3 @@ def _inside(corners: list[Any], sign: Any, x: Any, y: Any) -> Any:
         top_left = (dy > 0) | ((dy == 0) & (dx < 0))
         inside &= (area > 0) | ((area == 0) & top_left)
     return inside
-
-
-NARROW = 8  # texels; wider gutters are not cached, because they may fill most of the image
-
-
-def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
-    """Copy an image; invalid texels within ``texels`` of valid ones get the nearest value."""
-    image, valid = np.asarray(image), np.asarray(valid, bool)
-    if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:
-        raise ShapeError(
-            f"dilate(): expected an (H, W) or (H, W, C) image and an (H, W) mask, "
-            f"got {image.shape} and {valid.shape}."
-        )
-    if texels < 0:
-        raise OptionError(f"dilate(): the width must not be negative, got {texels}.")
-    filled = image.copy()
-    if texels <= NARROW:
-        place, source = _of_mask(np.packbits(valid).tobytes(), valid.shape, texels)
-    else:
-        place, source = _gutter(valid, texels)
-    flat = filled.reshape(valid.size, *image.shape[2:])  # a view, because the copy is contiguous
-    flat[place] = flat[source]
-    return filled
-
-
-@lru_cache(maxsize=2)  # one layout for maps, one for images
-def _of_mask(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``_gutter`` of a mask, given as packed bits; cached."""
-    bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=shape[0] * shape[1])
-    return _gutter(bits.view(bool).reshape(shape), texels)
-
-
-def _gutter(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices (G,) of texels to fill, and of the nearest valid texels (G,)."""
-    if not valid.any() or valid.all():  # distances are undefined without a valid texel
-        return np.empty(0, np.intp), np.empty(0, np.intp)
-    distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)
-    place = np.flatnonzero(~valid & (distance <= texels))
-    return place, (row.astype(np.intp) * valid.shape[1] + column).ravel()[place]
