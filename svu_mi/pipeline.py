@@ -67,7 +67,8 @@ def estimate(
         texels: texels of ``capture.mesh``; required for a capture.
         method: ``angular`` compares the photographs with radiance predicted by the reflection
             model; ``spectrum`` compares power spectra (Sec. 3.3 of the paper).
-        preset: ``default``, ``paper``, ``fast``, ``fixed`` (angular), or a preset object.
+        preset: ``default``, ``paper``, ``fast``, ``fixed`` (angular), or a preset object, such as
+            ``svu.preset("default", bounces=True)`` for light that the object reflects onto itself.
         grid: parameter grid, by default with 8 nodes per parameter. The preset's ``parameters``
             select a ``PrincipledGrid`` (roughness, metallic, base colour) or a ``ParameterGrid``
             (roughness, Ks).

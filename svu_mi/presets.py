@@ -3,7 +3,7 @@
 ``paper`` is the published method. ``default`` is the most accurate; the same values serve all
 scenes. ``fast`` is less accurate. ``fixed`` (angular only) assumes a noise of 8 % of the mean
 radiance instead of estimating it, as comparisons with path-traced references require. Presets
-differ in single options, so an ablation is ``preset("paper", penalize_constant=False)``.
+differ in single options, so an ablation is ``preset("paper", errors="mean")``.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -47,7 +47,7 @@ class Preset(_Channels):
     Example:
         >>> svu.Preset().degree
         6
-        >>> svu.preset("paper", degree=5)
+        >>> svu.preset("paper", method="spectrum", degree=5)
         Preset(name='paper', degree=5, ...)
     """
 
@@ -386,22 +386,22 @@ METHODS: dict[str, tuple[Any, dict[str, Any]]] = {
 
 @overload
 def preset(
-    base: str | AnyPreset = ..., *, method: Literal["spectrum"] = ..., **switches: object
+    base: str | AnyPreset = ..., *, method: Literal["spectrum"], **switches: object
 ) -> Preset: ...
 @overload
 def preset(
-    base: str | AnyPreset = ..., *, method: Literal["angular"], **switches: object
+    base: str | AnyPreset = ..., *, method: Literal["angular"] = ..., **switches: object
 ) -> AngularPreset: ...
 @overload
 def preset(base: str | AnyPreset = ..., *, method: Method, **switches: object) -> AnyPreset: ...
 def preset(
-    base: str | AnyPreset = "default", *, method: Method = "spectrum", **switches: object
+    base: str | AnyPreset = "default", *, method: Method = "angular", **switches: object
 ) -> AnyPreset:
     """Return a preset of a method, with some options replaced.
 
     Args:
         base: ``paper``, ``default``, ``fast``, ``fixed`` (angular only), or a preset object.
-        method: ``spectrum`` returns a ``Preset``, ``angular`` an ``AngularPreset``.
+        method: ``angular`` returns an ``AngularPreset``, ``spectrum`` a ``Preset``.
         **switches: options to replace, such as ``degree=5``.
 
     Raises:
@@ -409,10 +409,10 @@ def preset(
             value outside its range.
 
     Example:
-        >>> svu.preset("paper", penalize_constant=False).regularizer
-        0.001
-        >>> svu.preset("fast", method="angular").cells
+        >>> svu.preset("fast").cells
         0
+        >>> svu.preset("paper", method="spectrum", penalize_constant=False).regularizer
+        0.001
     """
     if method not in METHODS:
         raise OptionError(f"Unknown method {method!r}; use one of {', '.join(METHODS)}.")
@@ -436,5 +436,5 @@ def _require(name: str, method: str, what: str, known: dict[str, list[str]]) -> 
         others = [other for other in known if name in known[other]]
         raise OptionError(
             f"Unknown {what} {name!r}; method {method!r} has {', '.join(sorted(known[method]))}."
-            + (f" {name!r} is one of method {others[0]!r}." if others else "")
+            + (f" For {name!r}, use method {others[0]!r}." if others else "")
         )

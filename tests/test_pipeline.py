@@ -67,7 +67,7 @@ def exact_spectra(d, w, f, switches):
 def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
     """Samples stored, fitted and compared in float64, straight from the equations."""
     capture, texels = glossy
-    switches = preset(name)
+    switches = preset(name, method="spectrum")
     d, w, f = stored_samples(capture, texels, switches)
     spectra = spectra_of(observe(capture, texels), switches)
     exact = exact_spectra(d, w, f, switches)
@@ -195,7 +195,7 @@ def test_memory_does_not_grow_with_texels_times_views(tmp_path, method, many):
 @pytest.mark.slow
 def test_oracle_and_posterior_agree_on_a_rendered_object(glossy):
     capture, texels = glossy
-    switches = preset("paper", sigma=0.05)
+    switches = preset("paper", method="spectrum", sigma=0.05)
     d, w, f = stored_samples(capture, texels, switches)
     S = exact_spectra(d, w, f, switches)
     seen = (w > 0).any(axis=1)

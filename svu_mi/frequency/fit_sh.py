@@ -161,7 +161,7 @@ def fit_sh(
         raise OptionError(
             f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."
         )
-    penalize_constant = named_preset(preset).penalize_constant
+    penalize_constant = named_preset(preset, method="spectrum").penalize_constant
     weight_tensor = tensor(weights, "fit_sh()", "weights", ("T", "V"))
     texels, views = weight_tensor.shape
     direction_tensor = tensor(directions, "fit_sh()", "directions", (texels, views, 3))

@@ -107,7 +107,7 @@ def spectrum_posterior(
         >>> posterior.probabilities.shape
         (5, 16, 16, 3)
     """
-    switches = find_preset(preset)
+    switches = find_preset(preset, method="spectrum")
     if sigma is not None:
         switches = replace(switches, sigma=float(sigma))
     grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)

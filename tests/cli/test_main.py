@@ -183,7 +183,7 @@ def test_invalid_options_fail_before_photographs_are_read(tmp_path, capsys, monk
     line = fails(capsys, "entropy", *words, "--method", "spectrum", "--preset", "fixed")
     assert line == (
         "svu: Unknown preset 'fixed'; method 'spectrum' has default, fast, paper. "
-        "'fixed' is one of method 'angular'."
+        "For 'fixed', use method 'angular'."
     )
     assert fails(capsys, "entropy", *words, "-m", "cuda") == (
         "svu: This Mitsuba has no variant 'cuda'; omit -m, or use cuda_ad_rgb or llvm_ad_rgb."

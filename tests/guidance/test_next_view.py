@@ -39,7 +39,8 @@ from svu_mi.presets import preset
 SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
 BASELINES = [name for name in STRATEGIES if not TABLE[name].needs_forecast]
 LOW = 3  # degree, where kernels of the usual one do the same and take ten times as long to compile
-SHARP = preset("paper", sigma=1e-3)  # with .1, spectra under this sky say next to nothing
+# With .1, spectra under this sky contain almost no information.
+SHARP = preset("paper", method="spectrum", sigma=1e-3)
 PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]},
          "roughness": 0.4, "metallic": 0.0}  # fmt: skip
 
@@ -230,8 +231,8 @@ class TestRankOne:
 
     @pytest.mark.few(1)
     @pytest.mark.parametrize("switches", [
-        preset("paper", degree=LOW, sigma=0.02, regularizer=1e-2),
-        preset("default", degree=LOW, parameters="specular", sigma=0.05),
+        preset("paper", method="spectrum", degree=LOW, sigma=0.02, regularizer=1e-2),
+        preset("default", method="spectrum", degree=LOW, parameters="specular", sigma=0.05),
     ])  # fmt: skip
     def test_expected_entropy_equals_brute_force(self, switches):
         rng, count, views = np.random.default_rng(5), 9, 8
@@ -322,9 +323,9 @@ class TestGrowing:
     @pytest.mark.few(2)
     @pytest.mark.parametrize("weights", [None, "prior"])
     @pytest.mark.parametrize("switches", [
-        preset("paper", degree=LOW, sigma=0.02, regularizer=1e-2),
-        preset("paper", degree=LOW, sigma=1e-4),
-        preset("default", degree=LOW, parameters="specular", sigma=0.05),
+        preset("paper", method="spectrum", degree=LOW, sigma=0.02, regularizer=1e-2),
+        preset("paper", method="spectrum", degree=LOW, sigma=1e-4),
+        preset("default", method="spectrum", degree=LOW, parameters="specular", sigma=0.05),
     ])  # fmt: skip
     def test_equals_the_equation_step_by_step(self, switches, weights):
         """All of the greedy loop: before, with each candidate, and again in sharper light."""
@@ -596,7 +597,9 @@ class TestNextBestView:
         capture, texels = sunny
         towards = np.array([to_world(s)[:3, 3] for s in capture.sensors])
         right = np.argsort(-towards[:, 0])[:4]
-        spectra = preset("default", parameters="specular", penalize_constant=True)
+        spectra = preset(
+            "default", method="spectrum", parameters="specular", penalize_constant=True
+        )
         for method, named in (("angular", "default"), ("spectrum", spectra)):
             estimate = svu.estimate(some(capture, right), texels, method, named)
             unseen = float((np.array(estimate.coverage) == 0).mean())

@@ -144,7 +144,7 @@ def test_the_order_of_channels_does_not_matter(seed, order):
         entropies, again = (entropy_of(x, switches) for x in ((w, *fields), turned))
         np.testing.assert_allclose(again, entropies, atol=atol)
     S_L, S_B = spectra(seed, 3)
-    total = preset("default", channels="sum", sigma=0.02, parameters="specular")
+    total = preset("default", method="spectrum", channels="sum", sigma=0.02, parameters="specular")
     again = spectral(S_L[..., order], S_B[..., order], total)
     np.testing.assert_allclose(again, spectral(S_L, S_B, total), atol=32 * U)
 

@@ -16,11 +16,11 @@ from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import MIN_ALPHA
 
 KS, PRINCIPLED = ParameterGrid(8, 8), PrincipledGrid(8, 8, 8)
-PLAIN = preset("default")
+PLAIN = preset("default", method="spectrum")
 RULES = {
-    "paper": (preset("paper"), KS),
-    "paper, light as it was": (preset("paper", undo_prefilter=True), KS),
-    "fast": (preset("fast"), PRINCIPLED),
+    "paper": (preset("paper", method="spectrum"), KS),
+    "paper, light as it was": (preset("paper", method="spectrum", undo_prefilter=True), KS),
+    "fast": (preset("fast", method="spectrum"), PRINCIPLED),
     **{
         f"{channels}, {noise}, {kind}": (
             replace(PLAIN, channels=channels, noise=noise, sigma=0.02), grid)
@@ -102,7 +102,7 @@ def test_any_contrast(rule, what):
 @pytest.mark.parametrize("power", [-30, -12, -3, 0, 12, 30])
 @pytest.mark.parametrize("noise", ["fixed", "relative"])
 def test_any_sigma(noise, power, grid):
-    switches = preset("default", noise=noise, sigma=10.0**power)
+    switches = preset("default", method="spectrum", noise=noise, sigma=10.0**power)
     E = irradiance(10099, switches.colors)
     data = spectra(10093, switches.colors)
     assert_posterior(*data, switches, grid, E)
@@ -115,6 +115,6 @@ def test_any_sigma(noise, power, grid):
                                    (24, 24, 24))),
 ], ids=lambda grid: str(grid.shape))  # fmt: skip
 def test_any_grid(grid):
-    switches = preset("paper" if isinstance(grid, ParameterGrid) else "default")
+    switches = preset("paper" if isinstance(grid, ParameterGrid) else "default", method="spectrum")
     channels = switches.colors
     assert_posterior(*spectra(10103, channels, 2), switches, grid, E=irradiance(10111, channels, 2))

@@ -158,7 +158,7 @@ def refuse(token: str):
 
 def test_the_manifest_is_plain_json(tmp_path):
     record = {
-        "preset": svu.preset("fast"), "path": Path("a/b"), "array": np.eye(2),
+        "preset": svu.preset("fast", method="spectrum"), "path": Path("a/b"), "array": np.eye(2),
         "count": np.int64(3), "lanes": mi.Float([1, 2]), "nan": float("nan"),
         "inf": np.float32(np.inf), "tuple": (1, None, True), "set": {"b", "a"}, 5: "five", "ä": "ö",
     }  # fmt: skip

@@ -162,7 +162,8 @@ def test_mirrors_are_read_where_narrow_lobes_are(capture, layout, calls):
 
 
 def test_a_spectrum_may_trace_few_cells(capture, layout):
-    few = svu.estimate(capture, layout, "spectrum", svu.preset("default", rays=16))
+    rays = svu.preset("default", method="spectrum", rays=16)
+    few = svu.estimate(capture, layout, "spectrum", rays)
     assert np.isfinite(np.array(few.entropy)).all()
 
 

@@ -49,7 +49,8 @@ ALPHAS = ROUGHNESS**2
 
 def test_settings_match_the_paper():
     """Numbers in the text: 8 x 8 bins, lambda, l*, Adam's rate and steps, weights, 32 paths."""
-    spectra, sh, path = preset("paper"), SH_PRESETS["paper"], PATH_PRESETS["paper"]
+    spectra = preset("paper", method="spectrum")
+    sh, path = SH_PRESETS["paper"], PATH_PRESETS["paper"]
     grid = spectrum_grid(None, spectra)
     np.testing.assert_allclose(grid.roughness_nodes, np.linspace(0, 1, 8))
     np.testing.assert_allclose(grid.specular_nodes, np.linspace(0, 1, 8))
@@ -497,9 +498,8 @@ def test_eq12_fit(views, regularizer, method):
 def test_eq13_expected_entropy(observed, samples):
     """For all texels and three candidates, fit again with light band-limited for v' = 15 views."""
     capture, sigma = observed.capture, 0.3
-    estimate = svu.estimate(
-        capture, observed.texels, "spectrum", preset("paper", sigma=sigma), grid=GRID
-    )
+    switches = preset("paper", method="spectrum", sigma=sigma)
+    estimate = svu.estimate(capture, observed.texels, "spectrum", switches, grid=GRID)
     candidates = svu.Candidates.around(capture, 3)
     options = svu.GuidanceOptions(band_limit="growing")
     known = StrategyInputs(estimate, estimate.observed, candidates, samples.texel, options)

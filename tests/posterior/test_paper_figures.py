@@ -123,7 +123,7 @@ def ball(tmp_path_factory):
 def printed(ball, method):
     """Return preset ``paper`` over (roughness, Ks), with the same noise for all balls."""
     if method == "spectrum":
-        return preset("paper")
+        return preset("paper", method="spectrum")
     known = preset("paper", method="angular")
     sigma = known.sigma * ball().observed.unit
     return preset(known, method="angular", parameters="specular", noise="fixed", sigma=sigma)

@@ -20,10 +20,10 @@ from svu_mi.reflection.lobes import split_sum
 
 GRID = ParameterGrid(roughness=5, specular=4)
 RULES = [
-    preset("paper"),
-    preset("paper", channels="grey"),  # Ks per channel
-    preset("default"),
-    preset("default", channels="sum"),
+    preset("paper", method="spectrum"),
+    preset("paper", method="spectrum", channels="grey"),  # Ks per channel
+    preset("default", method="spectrum"),
+    preset("default", method="spectrum", channels="sum"),
 ]
 
 
@@ -179,7 +179,7 @@ def test_marginals_are_sums_of_the_probabilities(switches):
 @pytest.mark.parametrize("channels", ["sum", "grey"])
 def test_map_recovers_the_truth(channels):
     """All nodes except spectra without power, which contain no information."""
-    switches = preset("default", channels=channels, sigma=1e-3)
+    switches = preset("default", method="spectrum", channels=channels, sigma=1e-3)
     rough, Ks = oracle.nodes(8, 8, switches.spacing)
     l = np.arange(L + 1)
     S_L = np.tile((5 * np.exp(-0.3 * l)).astype(np.float32)[:, None], (1, 3))
@@ -201,10 +201,10 @@ def test_undo_prefilter_corrects_band_limited_light():
     S_B = oracle.model(S_L, Ks[5], rough[5] ** 2)
     softened = S_L * np.exp(-2 * (0.4 * l) ** 2)
     arguments = [x[None, :, None].astype(np.float32) for x in (softened, S_B)]
-    undone = preset("default", undo_prefilter=True)
+    undone = preset("default", method="spectrum", undo_prefilter=True)
     best = spectrum_posterior(*arguments, sigma=1e-3, preset=undone, prefilter=0.4).map()
     assert np.array(best["roughness"])[0] == pytest.approx(rough[5])
-    ignored = preset("default", undo_prefilter=False)
+    ignored = preset("default", method="spectrum", undo_prefilter=False)
     best = spectrum_posterior(*arguments, sigma=1e-3, preset=ignored, prefilter=0.4).map()
     assert np.array(best["roughness"])[0] < rough[5] - 0.1
 
@@ -215,7 +215,7 @@ def test_degree_0_decides_on_the_diffuse_part(channels):
     rng = np.random.default_rng(31337)
     S_L, S_B = spectra(rng, 8, channels)
     E = rng.random((8, S_L.shape[2])) * 3
-    switches = preset("default", sigma=0.02)
+    switches = preset("default", method="spectrum", sigma=0.02)
     grid = PrincipledGrid(4, 3, 5)
     posterior = spectrum_posterior(S_L, S_B, grid, preset=switches, irradiance=E)
     p, H = np.array(posterior.probabilities), np.array(posterior.entropy())
@@ -255,7 +255,7 @@ def test_grid_with_missing_inputs_is_refused():
 @pytest.mark.parametrize("channels", ["sum", "grey"])
 def test_divergence_matches_brute_force_and_is_0_on_itself(channels):
     rng = np.random.default_rng(877)
-    switches = preset("default", channels=channels, sigma=0.3)
+    switches = preset("default", method="spectrum", channels=channels, sigma=0.3)
     a = spectrum_posterior(*spectra(rng, 6), GRID, preset=switches)
     b = spectrum_posterior(*spectra(rng, 4), GRID, preset=switches)
     KL = np.array(a.kl(b))
@@ -294,8 +294,8 @@ def test_no_texels_is_an_empty_posterior():
 
 
 def test_grid_nodes_follow_the_preset_unless_told_otherwise():
-    own = ParameterGrid(spacing="uniform").resolved(preset("default"))
-    ours = ParameterGrid().resolved(preset("default"))
+    own = ParameterGrid(spacing="uniform").resolved(preset("default", method="spectrum"))
+    ours = ParameterGrid().resolved(preset("default", method="spectrum"))
     np.testing.assert_allclose(own.specular_nodes, np.linspace(0, 1, 8))
     np.testing.assert_allclose(ours.specular_nodes, 0.04 + 0.96 * np.linspace(0, 1, 8) ** 2)
     np.testing.assert_allclose(ours.roughness_nodes, np.linspace(0, 1, 8))

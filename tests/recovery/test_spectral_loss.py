@@ -173,7 +173,7 @@ def objectives(observed, kind):
     if kind == "paper":
         return angular_objective(observed, angular(kind))
     name, domain = kind.split()
-    return spectral_objective(observed, preset(name), domain)
+    return spectral_objective(observed, preset(name, method="spectrum"), domain)
 
 
 KINDS = ("paper", "default coefficients", "default spectrum")
@@ -196,7 +196,7 @@ def test_nothing_is_compiled_between_steps(observed, kind):
 @pytest.mark.parametrize("domain", ["coefficients", "spectrum"])
 @pytest.mark.parametrize("name", ["default", "paper"])
 def test_spectral_losses_and_gradients_match_float64(observed, name, domain):
-    texels, switches = observed.texels, preset(name, degree=4)
+    texels, switches = observed.texels, preset(name, method="spectrum", degree=4)
     objective = spectral_objective(observed, switches, domain)
     fitted = fit_coefficients(observed, switches)
     table = np.array(fitted.values, np.float64).reshape(25, 6, texels.count)
@@ -222,7 +222,7 @@ def test_spectral_losses_and_gradients_match_float64(observed, name, domain):
 
 
 def test_coefficients_have_the_power_of_the_spectra(observed):
-    texels, switches = observed.texels, preset("default", channels="sum")
+    texels, switches = observed.texels, preset("default", method="spectrum", channels="sum")
     spectra, fitted = fit_spectra(observed, switches), fit_coefficients(observed, switches)
     table = np.array(fitted.values).reshape(49, 6, texels.count) ** 2
     for l in range(7):

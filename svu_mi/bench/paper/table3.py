@@ -63,10 +63,10 @@ def _entropy_rows() -> tuple[EntropyRow, ...]:
         chosen = preset("fixed", method="angular", errors="sum", sigma=SUM, **switches)
         return EntropyRow(label, "angular", chosen, "sum", open)
 
-    relative = preset("paper", noise="relative", sigma=0.02)
+    relative = preset("paper", method="spectrum", noise="relative", sigma=0.02)
     return (
         paper("SH model (paper)", open=True),
-        EntropyRow("spectrum (paper)", "spectrum", preset("paper"), "sum", True),
+        EntropyRow("spectrum (paper)", "spectrum", preset("paper", method="spectrum"), "sum", True),
         EntropyRow("spectrum (paper), relative noise", "spectrum", relative, "sum"),
         paper("SH model, mean over views", errors="mean", sigma=MEAN),
         paper("SH model, band-limit undone", fit=Fit(undo_prefilter=True)),
@@ -79,7 +79,7 @@ def _entropy_rows() -> tuple[EntropyRow, ...]:
         ours("cells of the light, nothing occluded", occluded=False),
         ours("fixed, sum over views", open=True),
         EntropyRow("fixed", "angular", preset("fixed", method="angular"), "mean"),
-        EntropyRow("spectrum (ours)", "spectrum", preset("default"), "mean"),
+        EntropyRow("spectrum (ours)", "spectrum", preset("default", method="spectrum"), "mean"),
     )
 
 
@@ -134,7 +134,7 @@ class Table3(CaseSubject):
         """Texels whose irradiance the object hardly occludes, (n,) bool."""
         observed, result = self.observed.observed, np.zeros(self.layout.count, bool)
         assert observed is not None
-        rules = (preset("default", occluded=on) for on in (True, False))
+        rules = (preset("default", method="spectrum", occluded=on) for on in (True, False))
         arrives, whole = (observed.irradiance(rule, 1)[0].numpy() for rule in rules)
         result[observed.seen] = arrives > LOSES * whole
         return result[self.reference.subset][self.seen]
