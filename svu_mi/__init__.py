@@ -6,6 +6,7 @@ imports Dr.Jit. Public names are imported on first use. No Mitsuba variant is se
 
 import importlib
 from contextlib import suppress
+from inspect import isfunction
 from typing import TYPE_CHECKING, Any
 
 from svu_mi import _llvm
@@ -131,6 +132,8 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'svu_mi' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"svu_mi.{_HOME[name]}"), name)
+    if isfunction(value):
+        value = importlib.import_module("svu_mi.core.checked_arguments").checked(value)
     globals()[name] = value
     return value
 

@@ -5,6 +5,8 @@ one of its subclasses. Warnings derive from ``SvuWarning`` and use the ``warning
 """
 
 import re
+import sys
+import warnings
 from collections.abc import Sequence
 from unicodedata import category
 
@@ -72,6 +74,14 @@ class SvuWarning(UserWarning):
         >>> with warnings.catch_warnings(action="error", category=svu.SvuWarning):
         ...     estimate = svu.estimate(capture, texels)  # raises instead of printing a warning
     """
+
+
+def warn(sentence: str) -> None:
+    """Emit an ``SvuWarning`` at the line of the user's program that called this package."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back and frame.f_globals["__name__"].startswith("svu_mi"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(sentence, SvuWarning, stacklevel=level)
 
 
 def counted(number: float, noun: str) -> str:

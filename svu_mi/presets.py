@@ -12,7 +12,7 @@ from numbers import Real
 from typing import Any, Literal, overload
 
 from svu_mi.core.validation import require, require_ranges, require_types
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, excerpt
 
 Method = Literal["angular", "spectrum"]
 GridSpacing = Literal["uniform", "dielectric"]
@@ -292,7 +292,6 @@ class AngularPreset(_Channels):
 
     def _require_printed(self) -> None:
         """Raise an error unless lobes are as in Eq. 6, which a ``fit`` requires."""
-        require(self, isinstance(self.fit, Fit), "fit", "a Fit, or None")
         require(self, self.cells == 0, "cells", "0 with a fit, which has no visibility")
         require(self, self.lobe == "gaussian", "lobe", "'gaussian' with a fit")
         require(self, self.fresnel != "split_sum", "fresnel", "'schlick' or 'none' with a fit")
@@ -425,7 +424,7 @@ def preset(
         _require(switch, method, "switch", kinds)
     if not isinstance(base, kind):
         raise OptionError(
-            f"preset(..., method={method!r}) takes a name or a {kind.__name__}, not {type(base)}."
+            f"preset(): method {method!r} has {kind.__name__} objects, got {excerpt(base, 60)}."
         )
     return replace(base, **switches) if switches else base
 

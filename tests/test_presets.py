@@ -59,7 +59,7 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
         ({"fresnel": "split_sum"}, "fresnel must be 'schlick' or 'none' with a fit"),
         ({"off_specular": True}, "off_specular must be False with a fit"),
         ({"occluded": True}, "occluded must be False with a fit"),
-        ({"fit": True}, "fit must be a Fit, or None"),
+        ({"fit": True}, "fit must be a Fit, got True"),
         ({"noise": "estimated"}, "errors='sum' requires noise"),
         ({"errors": "median"}, "errors must be one of mean, sum"),
     ],

@@ -1,6 +1,5 @@
 """Captures: scene, target object, photographs, masks and exposures."""
 
-import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.array_cache import ArrayCache
-from svu_mi.errors import SvuWarning, counted
+from svu_mi.errors import counted, warn
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ class Capture:
     def warned(self, *sentences: str) -> "Capture":
         """Issue warnings; return a copy that lists them in records and reports."""
         for sentence in sentences:
-            warnings.warn(sentence, SvuWarning, stacklevel=3)
+            warn(sentence)
         return replace(self, warnings=(*self.warnings, *sentences)) if sentences else self
 
     @property

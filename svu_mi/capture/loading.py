@@ -1,12 +1,10 @@
 """Loading of a ``Capture`` from a scene file and a folder of photographs."""
 
 import dataclasses
-import os
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar
 
 import mitsuba as mi
 
@@ -32,7 +30,7 @@ from svu_mi.capture.target import SceneTarget, find_target
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
-from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
+from svu_mi.errors import CaptureError, OptionError, SceneError, excerpt, warn
 
 # Light beside exposures of EXIF, which have another unit.
 UNKNOWN_LEVEL = LightUncertainty(scale=(0.7, 0.7, 0.7))
@@ -108,17 +106,6 @@ def plan_capture(
     Arguments and errors: see ``load_capture``, and ``load_scene`` for ``float_textures``.
     """
     require_variant()
-    if not isinstance(path, str | os.PathLike):
-        raise OptionError(
-            f"load_capture(): path must be the path of a scene or a capture, got a "
-            f"{type(path).__name__}."
-        )
-    for name, word, known in (("missing", missing, Missing), ("light", light, Light)):
-        if word not in get_args(known):
-            raise OptionError(
-                f"load_capture(): {name} must be one of {', '.join(map(repr, get_args(known)))}, "
-                f"got {word!r}."
-            )
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     xml, remembered = _described(path, folder)
@@ -226,7 +213,7 @@ class CapturePlan:
         relative = bool(self.description.imported.get("relative_gains"))
         notes += [RELATIVE_GAINS] * (relative and self.light is not None)
         for sentence in notes:
-            warnings.warn(sentence, SvuWarning, stacklevel=3)
+            warn(sentence)
         return Capture(
             scene=target.scene, shape=target.mesh, mesh=mesh, sensors=tuple(sensors),
             images=tuple(photograph.pixels for photograph in photographs),

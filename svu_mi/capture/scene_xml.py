@@ -4,7 +4,6 @@
 """
 
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from svu_mi.capture.sensors import describe
 from svu_mi.core.identifiers import xml_id
 from svu_mi.core.io.exr import write_exr
 from svu_mi.core.io.files import mark_text, stamp, write_text
-from svu_mi.errors import SvuWarning
+from svu_mi.errors import warn
 
 FILTERS = {
     "BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian",
@@ -323,7 +322,7 @@ def _one_sided(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
 
 
 def _warn(sentence: str) -> None:
-    warnings.warn(sentence, SvuWarning, stacklevel=3)
+    warn(sentence)
 
 
 def _plain(value: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +12,7 @@ from svu_mi.cli import shared_options as opt
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.core.memory import Need, Sizes, search_bytes
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError, SvuWarning, counted
+from svu_mi.errors import OptionError, counted, warn
 from svu_mi.parameters import MIXED
 
 if TYPE_CHECKING:
@@ -204,7 +203,7 @@ def print_prediction(progress: Progress, estimate: Estimate) -> None:
     if predicted.reliable and not predicted.odd():
         progress.say(sentence)
     else:
-        warnings.warn(sentence, SvuWarning, stacklevel=2)
+        warn(sentence)
 
 
 def read_capture(

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from numbers import Integral, Real
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
+from svu_mi.core.checked_arguments import mismatch
 from svu_mi.core.memory import Size, address_space, free_memory
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 
@@ -17,9 +17,6 @@ PIXEL_BYTES = 16  # per pixel of a photograph in memory: three floats and two ma
 RENDER_BYTES = 100  # per pixel of a film during rendering; measured: 90
 MASK_LANES = 9  # rays per pixel that render the object's mask
 GIGA = 1e9
-WORDS: dict[Any, tuple[type, str]] = {
-    int: (Integral, "a whole number"), float: (Real, "a number"), bool: (bool, "True or False"),
-}  # fmt: skip
 
 
 def require(options: Any, condition: bool, name: str, expected: str) -> None:
@@ -48,21 +45,15 @@ def require_known(names: Iterable[str], known: Iterable[str], what: str) -> None
 
 
 def require_types(options: Any) -> None:
-    """Check the types of numeric, boolean and ``Literal`` fields of an option object.
+    """Check the types of the fields of an option object.
 
     Raises:
-        OptionError: a field has another type.
+        OptionError: a field has another type than annotated.
     """
     hints = get_type_hints(type(options))
     for name in (each.name for each in fields(options) if each.init):
-        kind, value = hints[name], getattr(options, name)
-        if get_origin(kind) is Literal:
-            allowed = get_args(kind)
-            require(options, value in allowed, name, f"one of {', '.join(allowed)}")
-        elif kind in WORDS:
-            number, words = WORDS[kind]
-            fits = isinstance(value, number) and (kind is bool or not isinstance(value, bool))
-            require(options, fits, name, words)
+        if problem := mismatch(getattr(options, name), hints[name]):
+            raise OptionError(f"{type(options).__name__}: {name} {problem}")
 
 
 def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:

@@ -1,7 +1,6 @@
 """Disk cache of references: one file per hash of scene, photographs and options."""
 
 import logging
-import warnings
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from svu_mi.core.io.files import clear_temporaries, prepare_folder
 from svu_mi.core.io.hashes import Key
 from svu_mi.core.io.npz import read_arrays, write_arrays
 from svu_mi.core.io.schema import Axis, Field, checked
-from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.errors import SvuError, warn
 from svu_mi.evaluation.reference import Reference, TracedTables
 from svu_mi.evaluation.reference_options import ReferenceOptions
 from svu_mi.geometry.texels import Texels
@@ -56,11 +55,7 @@ def load(path: Path, options: ReferenceOptions) -> Reference | None:
         values: dict[str, Any] = {k: x if x.ndim else x.item() for k, x in stored.items()}
         return Reference.of(TracedTables(**values), options, cached=True)
     except (ValueError, SvuError) as error:
-        warnings.warn(
-            f"{path}: the cached reference cannot be read ({error}); it is traced again.",
-            SvuWarning,
-            stacklevel=3,
-        )
+        warn(f"{path}: the cached reference cannot be read ({error}); it is traced again.")
         return None
 
 

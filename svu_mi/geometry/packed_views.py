@@ -4,7 +4,6 @@ Memory: 1 byte per pixel for the flag of usable pixels. Photographs that were re
 in one block already (12 bytes per pixel) and are not copied.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +18,7 @@ from svu_mi.capture.film_rays import ray_floats
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.sensors import describe, film_size, scaled_sensor
 from svu_mi.core.arrays import to_drjit
-from svu_mi.errors import CaptureError, SvuWarning
+from svu_mi.errors import CaptureError, warn
 from svu_mi.geometry.silhouettes import Films, Outline, find_tiles, interior
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
@@ -107,11 +106,10 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             pixels.mark_usable(index, inside)
     for place, count, ratio in pixels.drop_hot(offset):
         pixel = "pixel is" if count == 1 else "pixels are up to"
-        warnings.warn(
+        warn(
             f"{capture.names[kept[place]]}: {count} {pixel} {ratio:.0e} times as bright as the "
-            "median of the object; ignored.",
-            SvuWarning, stacklevel=3,
-        )  # fmt: skip
+            "median of the object; ignored."
+        )
     buffer.advise_random_access()
     clipped, rounding = pixels.clipped_pixels(capture, kept), _rounding(capture, kept)
     views = replace(views, grey=not pixels.coloured[0], clipped=clipped, rounding=rounding)

@@ -171,17 +171,12 @@ class Candidates:
 
 def candidates_or_default(
     given: Candidates | Sequence[Any] | None, capture: Capture
-) -> Candidates:  # fmt: skip
+) -> Candidates:
     """Return ``given`` as candidates; if None, sensors without a photograph, or a sphere."""
     if isinstance(given, Candidates):
         return given
-    if isinstance(given, Sequence) and not isinstance(given, str):
-        return Candidates.of(given)
     if given is not None:
-        raise OptionError(
-            f"next_best_view(): candidates must be Candidates or sensors, got {given!r}; "
-            "place some with svu.Candidates.around(capture, count)."
-        )
+        return Candidates.of(given)
     unused = [view for view, used in enumerate(capture.used) if not used]
     missing = [view for view in unused if not np.isfinite(capture.images[view]).any()]
     return Candidates.at(capture, missing) if missing else Candidates.around(capture)

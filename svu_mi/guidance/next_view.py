@@ -12,7 +12,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -63,7 +62,8 @@ def next_best_view(
         >>> bool(guidance.proposals[1].entropy < guidance.entropy)
         True
     """
-    _require(estimate, count)
+    if count < 1:
+        raise OptionError(f"next_best_view(): count must be at least 1, got {count}.")
     options = with_switches(options, switches).resolved(estimate.preset)
     require_method(options, estimate.method)
     strategy = TABLE[options.strategy]
@@ -182,13 +182,3 @@ def _skipped(greedy: GreedyScorer | None, inputs: StrategyInputs) -> dict[str, i
     }
 
 
-def _require(estimate: Any, count: Any) -> None:
-    if not isinstance(estimate, Estimate):
-        raise OptionError(
-            f"next_best_view(): an estimate is needed, got a {type(estimate).__name__}; make one "
-            "with svu.estimate(capture, texels)."
-        )
-    if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
-        raise OptionError(
-            f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
-        )

@@ -5,7 +5,6 @@ theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical harmonics are real a
 the order l*l + l + m of ``drjit.sh_eval``, in the *polar* frame (z, x, y).
 """
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from svu_mi.capture import scene
 from svu_mi.capture.image_io import clamp_negative
-from svu_mi.errors import SceneError, SvuWarning
+from svu_mi.errors import SceneError, warn
 from svu_mi.light import latlong
 from svu_mi.light.latlong import directions, emitter_label, quadrature, radiance_from
 
@@ -77,7 +76,7 @@ def read_environment(emitter: Any) -> Environment:
         raise SceneError(f"{emitter_label(emitter)} has NaN or infinite radiance; repair its map.")
     pixels = latlong.envmap_pixels(emitter, grid)
     for note in clamp_negative(pixels, emitter_label(emitter), SceneError)[1]:
-        warnings.warn(note, SvuWarning, stacklevel=2)
+        warn(note)
     grid = np.maximum(grid, 0)
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):
         raise SceneError(f"Emitter '{emitter.id()}' is black; check its map or radiance.")

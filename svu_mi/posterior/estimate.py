@@ -139,7 +139,7 @@ class Estimate:
             return self.texels.to_image(np.array(self.entropy, np.float32), 1.0)
         if name == "coverage":
             return self.texels.to_image(np.array(self.coverage).astype(np.float32), 0.0)
-        parameter, _, what = name.rpartition("_")
+        parameter, _, what = str(name).rpartition("_")
         if parameter in self.posterior.axes and what in ("mean", "sd", "low", "high"):
             if what in ("low", "high"):
                 values = self.posterior.interval(parameter)[what == "high"]
@@ -182,11 +182,6 @@ def _observed_by(source: Observed | Estimate, texels: Texels | None) -> Observed
                 "The estimate has no observations; use an estimate returned by svu.estimate()."
             )
         source = source.observed
-    if not isinstance(source, Observed):
-        raise OptionError(
-            f"A capture or an estimate is needed, got {type(source).__name__}; read a capture with "
-            "svu.load_capture(path)."
-        )
     if texels is not None and texels is not source.texels:
         raise OptionError("The texels differ from the estimate's; omit them, or pass the capture.")
     return source

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any, Generic, TypeVar
 
 import mitsuba as mi
@@ -264,7 +264,7 @@ class Posterior(Generic[K]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return texels (t,) and both ends of the prior's support, (t, g)."""
         self._check_parameter(name)
-        if not 0 < level < 1:
+        if not (isinstance(level, Real) and 0 < level < 1):
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         texels = np.arange(self.count) if chosen is None else self._indices(chosen)
         edges = bin_edges(self.axes[name])
@@ -355,16 +355,18 @@ class Posterior(Generic[K]):
         return _tensor(np.maximum(divergence, 0) / self.channels)
 
     def _indices(self, chosen: Any) -> np.ndarray:
-        indices = np.array(chosen, np.int64).reshape(-1)
-        if len(indices) and not (indices.min() >= 0 and indices.max() < self.count):
+        given = np.array(chosen).reshape(-1)
+        if len(given) and given.dtype.kind not in "iu":
+            raise OptionError(f"Posterior: texels are whole numbers, got {chosen!r}.")
+        if len(given) and not (given.min() >= 0 and given.max() < self.count):
             raise OptionError(
                 f"Posterior: texels are numbered 0 to {self.count - 1}, got "
-                f"{indices.min()} to {indices.max()}."
+                f"{given.min()} to {given.max()}."
             )
-        return indices
+        return given.astype(np.int64)
 
     def _check_parameter(self, name: str) -> None:
-        if name not in self.axes:
+        if name not in list(self.axes):
             known = " or ".join(self.axes)
             raise OptionError(f"Posterior: unknown parameter {name!r}; use {known}.")
 

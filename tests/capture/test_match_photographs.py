@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import pickle
 from pathlib import Path
 
 import mitsuba as mi
@@ -12,10 +14,11 @@ import trimesh
 from support.helpers import run, sensor_xml, write_scene
 
 import svu_mi as svu
+from svu_mi import pipeline
 from svu_mi.capture.match_photographs import match_photographs
 from svu_mi.capture.scene import find_environment, load_scene
 from svu_mi.core.io.exr import write_exr
-from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError, SvuError
+from svu_mi.errors import CaptureError, OptionError, SceneError, SvuEnvironmentError, excerpt
 from svu_mi.posterior.row_entropy import log_prior
 
 pytestmark = pytest.mark.usefixtures("variant")
@@ -169,19 +172,19 @@ def test_a_mistaken_argument_is_named(tmp_path):
         (lambda: svu.Candidates.around("capture", 5), "Candidates.around(): a capture is needed, "
          "got a str; read one with svu.load_capture(path)."),
         (lambda: svu.load_capture(scene),
-         "load_capture(): path must be the path of a scene or a capture, got a Scene."),
+         f"load_capture(): path must be a str or a Path, got {excerpt(scene, 60)}."),
     ):  # fmt: skip
         with pytest.raises(OptionError) as caught:
             call()
         assert str(caught.value) == sentence
 
 
-def test_another_variant_is_named_before_any_work(variant):
+def test_another_variant_is_named_before_any_work(variant, vase):
     mi.set_variant("scalar_rgb")
     try:
         for call in (svu.estimate, svu.texels):
             with pytest.raises(SvuEnvironmentError, match="Variant 'scalar_rgb' is not supported"):
-                call(None)
+                call(vase.capture)
     finally:
         mi.set_variant(variant)
 
@@ -243,11 +246,49 @@ def test_invalid_prior_is_refused(prior):
 
 
 def test_arguments_of_wrong_type_are_refused(vase):
-    with pytest.raises(
-        SvuError, match=r"check\(\): capture must be a Capture, got a str; read one with"
-    ):
-        svu.check("cap")
-    with pytest.raises(SvuError, match=r"next_best_view\(\): an estimate is needed, got a str;"):
-        svu.next_best_view("cap")
-    with pytest.raises(SvuError, match="candidates must be Candidates or sensors, got 100; place"):
-        svu.next_best_view(vase.estimate, 100, 5)
+    """Public functions check their annotations, and say how to make an argument."""
+    capture, mesh = vase.capture, vase.capture.mesh
+    for call, sentence in (
+        (lambda: svu.check("cap"), "check(): capture must be a Capture, got 'cap'; use "
+         "svu.load_capture(path)."),
+        (lambda: svu.estimate(capture, 96), "estimate(): texels must be a Texels, got 96; use "
+         "svu.texels(capture, resolution)."),
+        (lambda: svu.estimate(vase.estimate, method="best"),
+         "estimate(): method must be one of angular, spectrum, got 'best'."),
+        (lambda: svu.next_best_view("cap"), "next_best_view(): estimate must be an Estimate, got "
+         "'cap'; use svu.estimate(capture, texels)."),
+        (lambda: svu.next_best_view(vase.estimate, 100, 5), "next_best_view(): candidates must be "
+         "a Candidates or a list, got 100; use svu.Candidates.around(capture)."),
+        (lambda: svu.import_capture("cap", "out", "mesh.obj"),
+         "import_capture(): source must be a Source, got 'cap'; use svu.read_source(path)."),
+        (lambda: svu.ImportOptions(mesh="a.obj", environment="b.exr"), "ImportOptions: environment "
+         "must be a Light, got 'b.exr'; use svu.Light(path=path)."),
+        (lambda: svu.recover(vase.estimate, parameters="roughness"),
+         "recover(): parameters must be a list, got 'roughness'."),
+        (lambda: svu.render_capture("a.xml", True),
+         "render_capture(): spp must be a whole number, got True."),
+        (lambda: svu.TotalVariation(64, mesh), "TotalVariation: texels must be a Texels, got 64; "
+         "use svu.texels(capture, resolution)."),
+        (lambda: vase.estimate.posterior.interval("roughness", "0.9"),
+         "Posterior.interval(): level must be in (0, 1), got '0.9'."),
+        (lambda: vase.estimate.posterior.map([0.5]),
+         "Posterior: texels are whole numbers, got [0.5]."),
+    ):  # fmt: skip
+        with pytest.raises(OptionError) as caught:
+            call()
+        assert str(caught.value) == sentence
+
+
+def test_a_warning_names_the_line_of_the_caller(vase):
+    with pytest.warns(svu.SvuWarning, match="^Dust.$") as caught:
+        vase.capture.warned("Dust.")
+    assert caught[0].filename == __file__
+
+
+def test_public_functions_take_numbers_and_lists_of_numpy(vase):
+    """NumPy scalars are numbers, lists are arrays, and functions can be pickled."""
+    assert svu.preset("default", cells=np.int64(512), metals=np.float32(0.5)).cells == 512
+    grid = svu.texels(vase.capture, np.array([16, 8]))
+    assert grid.resolution == (16, 8)
+    assert pickle.loads(pickle.dumps(svu.estimate)) is svu.estimate
+    assert inspect.signature(svu.estimate) == inspect.signature(pipeline.estimate)

@@ -237,7 +237,8 @@ def test_the_paper_s_presets_share_as_printed(seen, grid, recorded, method, name
 
 
 def test_sharing_reuses_existing_power_spectra(seen, recorded):
-    own = svu.estimate(seen.observed, method="spectrum", preset=preset("paper", sigma=0.05))
+    spectra = preset("paper", method="spectrum", sigma=0.05)
+    own = svu.estimate(seen.observed, method="spectrum", preset=spectra)
     recovery = svu.recover(own, preset="paper", sharing=True)
     assert recorded.sharing[0].estimate is own
     assert recovery.settings["sharing"]["posterior"]["sigma"] == 0.05

@@ -58,7 +58,7 @@ from svu_mi.capture.scene import has_lamps, is_lit, require_variant, to_world
 from svu_mi.capture.up_direction import is_seen_from_above
 from svu_mi.capture.uv_charts import unusable_uvs
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError, SvuError, first_of
+from svu_mi.errors import SvuError, first_of
 from svu_mi.geometry.texels import texels
 from svu_mi.light.environment import read_environment
 from svu_mi.pipeline import estimate
@@ -99,11 +99,6 @@ def check(
         True
     """
     require_variant()
-    if not isinstance(capture, Capture):
-        raise OptionError(
-            f"check(): capture must be a Capture, got a {type(capture).__name__}; read one with "
-            "svu.load_capture(path)."
-        )
     progress = progress or Progress()
     with progress.stage("Reducing photographs"):
         small = reduce_photographs(capture, SIDE)

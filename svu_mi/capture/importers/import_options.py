@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from svu_mi.core.validation import require_types
 from svu_mi.errors import OptionError
 
 Up = Literal["y", "z"]
@@ -46,7 +47,9 @@ class Light:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "path", Path(self.path))
+        if isinstance(self.path, str):
+            object.__setattr__(self, "path", Path(self.path))
+        require_types(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +109,7 @@ class ImportOptions:
 
     def __post_init__(self) -> None:
         """Raise OptionError for numbers out of range, and for one up axis without the other."""
+        require_types(self)
         for name, is_valid, words in (
             ("every", self.every >= 1, "1 (all photographs) or more"),
             ("faces", self.faces is None or self.faces >= 100, "100 or more"),
@@ -113,7 +117,6 @@ class ImportOptions:
             ("table_albedo", 0 <= self.table_albedo <= 1, "in [0, 1]"),
             ("flash", self.flash is None or np.isfinite(self.flash).all(), "three finite numbers"),
             ("flash_intensity", all(0 < x < np.inf for x in self.flash_intensity), "positive"),
-            ("missing", self.missing in ("refuse", "leave-out"), "refuse or leave-out"),
             ("mesh_scale", 0 < self.mesh_scale < np.inf, "positive"),
         ):
             if not is_valid:

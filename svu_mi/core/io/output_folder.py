@@ -16,7 +16,6 @@ import os
 import re
 import secrets
 import shutil
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatch
@@ -27,7 +26,7 @@ from svu_mi.core.io.files import prepare_folder, replacing, stamped
 from svu_mi.core.io.folder_exchange import exchanged, is_at, locked, unused_name
 from svu_mi.core.io.hashes import digest_of, digest_of_file
 from svu_mi.core.io.provenance import CAPTURE, RESULT, RUN, Entry, entries_in, files_in
-from svu_mi.errors import OutputError, SvuWarning, excerpt
+from svu_mi.errors import OutputError, excerpt, warn
 
 # Names that stay in captures and results when these are replaced: light estimates, renderings and
 # unwrapped meshes. Keys inside of them decide whether they are still valid.
@@ -306,8 +305,4 @@ def _is_own_page(path: Path) -> bool:
 
 
 def _warn_kept(path: Path, kept: Path) -> None:
-    warnings.warn(
-        f"{path}: the older content is kept as {kept.name}; remove it if you do not need it.",
-        SvuWarning,
-        stacklevel=6,
-    )
+    warn(f"{path}: the older content is kept as {kept.name}; remove it if you do not need it.")

@@ -1,6 +1,5 @@
 """Asset from the folders of ``svu recover`` and ``svu entropy``."""
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -21,7 +20,7 @@ from svu_mi.core.io.provenance import (
 )
 from svu_mi.core.io.schema import LARGEST, Axis, Field, checked
 from svu_mi.core.memory import Size
-from svu_mi.errors import CaptureError, MeshError, SvuWarning
+from svu_mi.errors import CaptureError, MeshError, warn
 from svu_mi.output.export.asset import Asset, usable_normals
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.object_views import named_up
@@ -91,7 +90,7 @@ class AssetPlan:
                 f"{file}: the object's bump map, or normal map on mirrored UVs, is not exported; "
                 "bake it there."
             )
-            warnings.warn(sentence, SvuWarning, stacklevel=3)
+            warn(sentence)
         textured = folder / FILES["base_color"]
         return Asset(
             name=shape.get("id") or "object",
@@ -139,7 +138,7 @@ def _require_same_capture(folder: Path, textured: Path, *, explicit: bool) -> No
                 f"{sentence}; compute both from one capture, or give the folder of the maps with "
                 "--entropy."
             )
-        warnings.warn(f"{sentence}; its values are used as they are.", SvuWarning, stacklevel=3)
+        warn(f"{sentence}; its values are used as they are.")
         return
 
 

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import to_drjit
-from svu_mi.core.validation import require
+from svu_mi.core.validation import require, require_types
 from svu_mi.geometry.neighbors import Neighbors, lanes_of, over_neighbors
 from svu_mi.geometry.texels import Texels
 from svu_mi.recovery.regularizers.known_gradient import Regularizer, sign
@@ -53,6 +53,7 @@ class TotalVariation(Regularizer):
     _scale: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        require_types(self)
         require(self, 0 <= self.epsilon < np.inf, "epsilon", "at least 0")
         around, pairs = _table(self.texels, self._neighbors(self.mesh))
         columns = tuple(to_drjit(mi.UInt32, column) for column in around)
