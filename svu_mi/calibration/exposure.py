@@ -14,8 +14,8 @@ from svu_mi.calibration.light.light_estimate import NINETY, FoundGains
 from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.calibration.light.light_samples import TexelSamples
 from svu_mi.calibration.light.light_transport import (
-    COOLING,
     HEAT,
+    Columns,
     SampleMoments,
     Transport,
     annealed,
@@ -34,7 +34,8 @@ from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
-CELLS, ROUNDS = 1024, 12
+CELLS, ROUNDS, FASTER = 1024, 6, 0.4  # decay of the overdispersion: the light is known
+UNITS = 8  # factors of up to 4.5 that correct the unit of the light
 FAR = np.log(2)  # larger log gains are initialized with a rough estimate instead of 0
 FEWEST = 4  # photographs needed to flag outliers
 ODD_GAIN = np.log(2.5)  # log gain of an outlier, relative to the median photograph
@@ -78,12 +79,8 @@ def estimate_gains(
     with progress.stage("Estimating gains", ROUNDS) as stage:
         light = cell_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
-        columns = columns_of(everything, light, switches)
-        level = scale_of(samples, columns, switches)
+        light, columns = _in_unit(light, everything, switches)
         heat = HEAT
-        if (np.abs(level.best) > NINETY * level.sd).any():  # the units probably differ
-            light = light * np.exp(level.best)
-            columns = columns_of(everything, light, switches)
         for done in range(ROUNDS):
             now, transport = annealed(switches, heat), without_gains(everything, gains)
             posterior = SampleMoments.of(transport.samples, columns).posterior(now)
@@ -91,9 +88,30 @@ def estimate_gains(
             system = normal_equations(transport, light, posterior, tau, gains=gains.logarithm)
             noise = posterior.kernel.noise if heat == 1 else None
             gains, _ = step_gains(gains, samples, system, system.step(), noise)
-            heat = max(heat * COOLING, 1.0)
+            heat = max(heat * FASTER, 1.0)
             stage.update(done + 1, ROUNDS)
-    return gains
+    return replace(gains, sd=_standard_deviations(system.matrix))
+
+
+def _standard_deviations(precision: np.ndarray) -> np.ndarray:
+    """Return those (V,) of channel means of log gains relative to their mean over V views."""
+    views = len(precision) // 3
+    covariance = np.linalg.inv(precision).reshape(3, views, 3, views).mean(axis=(0, 2))
+    variance = np.diag(covariance) - 2 * covariance.mean(axis=0) + covariance.mean()
+    return np.asarray(np.sqrt(np.maximum(variance, 0)))
+
+
+def _in_unit(
+    light: np.ndarray, transport: Transport, switches: AngularPreset
+) -> tuple[np.ndarray, Columns]:
+    """Return the light (N, 3) in the unit of the photographs if they differ, and its columns."""
+    for _ in range(UNITS):
+        columns = columns_of(transport, light, switches)
+        level = scale_of(transport.samples, columns, switches)
+        if (np.abs(level.best) <= NINETY * level.sd).all():
+            break
+        light = light * np.exp(level.best)
+    return light, columns
 
 
 def with_common_gain(
@@ -216,7 +234,7 @@ def _with_outliers_flagged(
     residual = np.sqrt(_medians(squares, samples.view, views))
     seen = residual > 0
     if seen.sum() < FEWEST:
-        return FoundGains(logarithm, residual, gains.odd)
+        return replace(gains, logarithm=logarithm, noise=residual)
     grey, worse = logarithm.mean(axis=1), np.log(np.maximum(residual, 1e-30))
     grey, worse = (values - np.median(values[seen]) for values in (grey, worse))
     odd = _outliers(np.abs(grey), seen, ODD_GAIN) | _outliers(worse, seen, np.log(ODD_NOISE))

@@ -22,21 +22,13 @@ from svu_mi.calibration.checks.check_result import Finding
 from svu_mi.calibration.checks.exposure_checks import (
     Excess,
     Irradiance,
-    Reflections,
     excess_of,
-    relative_gains,
     saturated_share,
     too_bright,
     warn_of_exposure,
 )
-from svu_mi.calibration.checks.surface_samples import (
-    DistantLight,
-    PointSamples,
-    emitter_of,
-    sample_points,
-    scatter_points,
-)
-from svu_mi.calibration.checks.thumbnails import Thumbnails, reduce_photographs
+from svu_mi.calibration.checks.surface_samples import PointSamples, emitter_of, scatter_points
+from svu_mi.calibration.checks.thumbnails import reduce_photographs
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.quantization import Saturation
 from svu_mi.capture.sensors import sphere_sensors
@@ -99,7 +91,7 @@ def test_the_one_photograph_with_another_gain_is_named(vase, view, gain):
         finding.sentence,
     )
     assert result, finding.sentence
-    assert float(result[1]) == pytest.approx(gain, rel=0.15)
+    assert float(result[1]) == pytest.approx(gain, rel=0.08)
 
 
 def test_many_gains_are_named_largest_first(vase):
@@ -243,25 +235,6 @@ def test_a_few_bright_points_are_not_a_gain():
     assert TOO_BRIGHT.fullmatch(Excess(0.12, 1.6).sentence())
 
 
-def test_a_gain_is_what_diffuse_and_glossy_parts_do_not_explain():
-    """With known materials, a single gain of 1.2 is found to 1 %."""
-    random = np.random.default_rng(SEED)
-    views, count = 12, 400
-    diffuse, lobes = random.random(count) + 0.5, random.random((3, views, count)) * 4
-    shown = 0.4 * diffuse + 0.1 * lobes[1]
-    shown[3] *= 1.3
-    side = np.arange(count) % 8
-    seen = np.ones((views, count), bool)
-    gains = relative_gains(Reflections(seen, shown, diffuse, lobes, side))
-    assert gains.explained > 0.99
-    np.testing.assert_array_equal(np.flatnonzero(gains.odd), [3])
-    np.testing.assert_allclose(
-        np.exp(gains.log), np.where(np.arange(views) == 3, 1.3, 1), rtol=0.01
-    )
-    nothing = relative_gains(Reflections(np.zeros_like(seen), shown, diffuse, lobes, side))
-    assert not nothing.known.any() and not nothing.odd.any()
-
-
 def test_much_saturation_is_reported(vase, monkeypatch):
     """The share is that of the object's pixels, with and without masks."""
     left = np.zeros((96, 96), np.uint8)
@@ -296,19 +269,6 @@ def test_much_saturation_is_reported(vase, monkeypatch):
             kept = warn_of_exposure(vase, SimpleNamespace(observed=seen)).warnings
         assert [sentence.partition(":")[0] for sentence in kept] == told
         assert [str(one.message) for one in caught] == list(kept)
-
-
-def test_mirrors_look_the_light_up_where_it_is(vase):
-    """The model explains most samples of the vase, and fewer under a rotated map."""
-    small = reduce_photographs(vase, 64)
-    points, emitter = scatter_points(small.shape), emitter_of(small)
-    seen = sample_points(points, Thumbnails.of(small))
-    arriving = Irradiance.of(small.scene, points, read_environment(emitter))
-    explained = []
-    for turn in (np.eye(3), np.diag([-1.0, 1.0, -1.0])):
-        light = (DistantLight.of(emitter, turn), arriving)
-        explained.append(relative_gains(Reflections.of(small.scene, points, seen, light)).explained)
-    assert explained[0] > explained[1] + 0.1, explained
 
 
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")

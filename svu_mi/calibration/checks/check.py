@@ -25,8 +25,6 @@ from svu_mi.calibration.checks.pose_scores import check_views, score_poses
 from svu_mi.calibration.checks.surface_samples import (
     DIRECTIONS,
     DistantLight,
-    Points,
-    PointSamples,
     emitter_of,
     is_constant,
     open_cosines,
@@ -36,7 +34,9 @@ from svu_mi.calibration.checks.surface_samples import (
     without_emitter,
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, limit_views, reduce_photographs
+from svu_mi.calibration.exposure import estimate_gains
 from svu_mi.calibration.light.light_estimate import FoundGains
+from svu_mi.calibration.light.light_options import LightOptions
 from svu_mi.calibration.light.light_summary import gain_sentences
 from svu_mi.calibration.poses.refine_poses import outline_note
 from svu_mi.capture import capture_folder
@@ -65,7 +65,8 @@ from svu_mi.pipeline import estimate
 from svu_mi.posterior.estimate import Estimate
 
 SIDE = 128  # maximum side of the compared photographs in pixels
-TEXELS = 48  # texels per side to test light from below
+TEXELS = 48  # texels per side to test gains, and light from below
+COMPARED = LightOptions(texels=150)  # to test gains
 VIEWS = 40  # maximum number of views for comparing colours
 UNLIKE = 0.15  # least distance of a photograph's overlap or contrast below the median to be named
 INSIDE = 0.8  # overlap of mesh and inverted masks, from which the masks are inverted
@@ -257,9 +258,7 @@ def _gain_finding(capture: Capture, small: Capture, find: Callable[[], FoundGain
         return decisions.unknown("gain", str(error).rstrip("."))
     emitter, excess = emitter_of(capture), None
     if emitter is not None:
-        excess = exposure_checks.excess_of(
-            *_samples_and_light(small, emitter), exposure_checks.unit_of(capture, small)
-        )
+        excess = _excess(capture, small, emitter)
     sentences = gain_sentences(gains, capture)
     return decisions.report_gains(excess, gains, sentences, recorded=_are_recorded(capture))
 
@@ -269,13 +268,13 @@ def _are_recorded(capture: Capture) -> bool:
     return capture.exposures_known and len(set(capture.exposures)) > 1
 
 
-def _samples_and_light(
-    small: Capture, emitter: Any
-) -> tuple[PointSamples, Points, exposure_checks.Irradiance]:
-    """Return samples of surface points, the points, and their irradiance."""
+def _excess(capture: Capture, small: Capture, emitter: Any) -> exposure_checks.Excess | None:
+    """Compare the photographs with a white surface; None if too few points are reliable."""
     points = scatter_points(small.shape)
     arriving = exposure_checks.Irradiance.of(small.scene, points, read_environment(emitter))
-    return sample_points(points, Thumbnails.of(small)), points, arriving
+    unit = exposure_checks.unit_of(capture, small)
+    samples = sample_points(points, Thumbnails.of(small))
+    return exposure_checks.excess_of(samples, points, arriving, unit)
 
 
 def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:
@@ -298,15 +297,13 @@ def compare_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) ->
         return decisions.unknown("gain", f"{known}{without_emitter(capture)}; {advice}")
     if _axes_are_off(axial):
         return decisions.unknown("gain", "cameras, mesh and light must fit first")
-    sightings, points, arriving = _samples_and_light(small, emitter)
-    names, gains = list(compress(small.names, small.used)), None
-    excess = exposure_checks.excess_of(
-        sightings, points, arriving, exposure_checks.unit_of(capture, small)
-    )
-    if len(names) >= exposure_checks.VIEWS:
-        light = DistantLight.of(emitter, np.eye(3)), arriving
-        reflections = exposure_checks.Reflections.of(small.scene, points, sightings, light)
-        gains = exposure_checks.relative_gains(reflections)
+    excess, gains = _excess(capture, small, emitter), None
+    names = list(compress(small.names, small.used))
+    if len(names) >= decisions.FEWEST_VIEWS:
+        try:
+            gains = estimate_gains(small, texels(small.mesh, TEXELS), COMPARED)
+        except SvuError as error:  # such as no point in enough photographs
+            return decisions.unknown("gain", str(error).rstrip("."))
     return decisions.decide_gains(excess, gains, names)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from svu_mi.calibration.checks.check_result import Finding, Question, ScoredHypothesis, Verdict
 from svu_mi.calibration.checks.envmap_orientation import LightScore, NormalDependence
-from svu_mi.calibration.checks.exposure_checks import VIEWS, Excess, ViewGains
+from svu_mi.calibration.checks.exposure_checks import Excess
 from svu_mi.calibration.checks.moved_meshes import Advantage
 from svu_mi.calibration.checks.pose_scores import (
     SMALL,
@@ -35,6 +35,10 @@ LIGHT_RANGE = 0.2  # minimum range of the score over all orientations
 LEAST_CUE = 0.1  # minimum cue that supports an orientation
 ALIKE = 0.3  # minimum correlation of a texture that supports other poses
 FLIP_IMPROVEMENT = 0.03  # minimum difference of the correlation with a texture
+FEWEST_VIEWS = 8  # for gains: 4 views of each point
+LARGEST = 0.2  # maximum accepted log gain
+CERTAIN = 4.0  # significance of gains in standard deviations
+COMPARABLE = 0.125  # maximum standard deviation of a log gain
 NAMED = 5  # maximum number of photographs named in a sentence
 UNKNOWN = {
     "light": "The orientation of the light cannot be determined: {}.",
@@ -244,23 +248,28 @@ def decide_constant_light(dependence: NormalDependence | None) -> Finding:
     )  # fmt: skip
 
 
-def decide_gains(excess: Excess | None, gains: ViewGains | None, names: Sequence[str]) -> Finding:
+def decide_gains(excess: Excess | None, gains: FoundGains | None, names: Sequence[str]) -> Finding:
     """Decide on the gains of photographs.
 
     Args:
         excess: Surface that is brighter than white; None if unknown.
-        gains: Relative gains of V photographs; None if there are too few.
+        gains: Gains of V photographs under the light; None if there are too few.
         names: Names of the V photographs.
     """
-    odd = _odd_gains(gains, names) if gains is not None and gains.odd.any() else None
-    sentences = list(filter(None, (excess and excess.sentence(), odd)))
+    if gains is None:
+        said = excess and excess.sentence()
+        bright = Finding(question="gain", verdict="unclear", sentence=said or "")
+        return bright if said else unknown("gain", f"there are fewer than {FEWEST_VIEWS}")
+    grey = gains.logarithm.mean(axis=1)
+    grey, known = grey - np.median(grey), gains.sd < COMPARABLE
+    odd = np.flatnonzero(known & (np.abs(grey) > np.maximum(LARGEST, CERTAIN * gains.sd)))
+    named = _odd_gains(grey, odd, names) if len(odd) else None
+    sentences = list(filter(None, (excess and excess.sentence(), named)))
     if sentences:
         return Finding(question="gain", verdict="unclear", sentence=" ".join(sentences))
-    if gains is None:
-        return unknown("gain", f"there are fewer than {VIEWS}")
-    if not gains.known.any():
+    if not known.any():
         return unknown("gain", "reflections are too sharp, poses too rough, or points too few")
-    compared = "" if gains.known.all() else f", of {gains.known.sum()} that can be compared"
+    compared = "" if known.all() else f", of {known.sum()} that can be compared"
     sentence = f"All photographs have the same gain, to about 20 %{compared}."
     return Finding(question="gain", verdict="fits", sentence=sentence)
 
@@ -288,10 +297,10 @@ def report_gains(
     return Finding(question="gain", verdict=verdict, sentence=" ".join(parts))
 
 
-def _odd_gains(gains: ViewGains, names: Sequence[str]) -> str:
-    odd = np.flatnonzero(gains.odd)
-    odd = odd[np.argsort(-np.abs(gains.log[odd]), kind="stable")]
-    each = first_of([f"{names[k]} (x {np.exp(gains.log[k]):.2f})" for k in odd.tolist()], NAMED)
+def _odd_gains(logarithm: np.ndarray, odd: np.ndarray, names: Sequence[str]) -> str:
+    """Return a sentence about the photographs ``odd``, whose log gains differ."""
+    odd = odd[np.argsort(-np.abs(logarithm[odd]), kind="stable")]
+    each = first_of([f"{names[k]} (x {np.exp(logarithm[k]):.2f})" for k in odd.tolist()], NAMED)
     subject = "One photograph has" if len(odd) == 1 else f"{len(odd)} photographs have"
     which = "it" if len(odd) == 1 else "them"
     return (

@@ -1,6 +1,6 @@
-"""Checks of exposure gains: relative to the light, and between photographs.
+"""Checks of the common brightness of photographs, and of saturation.
 
-Common gain: seen from many sides, an opaque surface is not brighter than a white diffuse surface.
+Seen from many sides, an opaque surface is not brighter than a white diffuse surface.
 If photographs exceed this bound (``Excess``), the units of photographs and light differ. Too dark
 photographs are not detected: they look like dark paint. The constants were chosen on the included
 objects and lights and eight uniform materials, in 8 to 24 views. With correct units, the included
@@ -9,25 +9,16 @@ whiter paint on 16 % (0.95) and 40 % (1), by factors of at most 1.15. In photogr
 bright, the included textures exceed it on 14 to 80 % of the surface (24 views; 8 views: 4 to 80 %)
 by factors of 1.18 to 1.76 (1.11 for the knot by the window). Polished metal that mirrors a window
 is three times as bright as white, but from one side only.
-
-Relative gains: each point is fitted by a diffuse and a glossy term, and the gain of a view is the
-median ratio to the fit. This takes 0.5 s and detects single gains of 1.5 and 0.67 in 90 % of
-captures of 24 views (12 views: 80 %, 8 views: 70 %), without false positives. The estimate with
-calibrated materials (``calibration.exposure``) is more precise, but takes ten times longer.
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import scipy
 
 from svu_mi.calibration.checks.surface_samples import (
     COARSE,
     DIRECTIONS,
-    DistantLight,
     Points,
     PointSamples,
     open_cosines,
@@ -37,10 +28,7 @@ from svu_mi.calibration.checks.surface_samples import (
 )
 from svu_mi.calibration.checks.thumbnails import Thumbnails, silhouettes
 from svu_mi.capture.scene import has_lamps
-from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.light.light_tree import LightCells, build_light_tree
-from svu_mi.light.light_visibility import is_unoccluded
-from svu_mi.reflection.principled import F0
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
@@ -63,20 +51,6 @@ MOST = 0.1  # fraction of points that may exceed the bound
 SATURATED = 0.1
 WHITEST = 1.16  # factor of gloss and interreflection on white paint
 BRIGHT = 0.98  # reported quantile of the factors
-
-GRAZING = 0.3  # minimum cosine to the camera for relative gains
-VIEWS = 8  # minimum number of views, for enough common points
-STEPS = 8  # alternations of gains and materials
-DARK = 0.05  # fraction of the median radiance, added before ratios
-TYPICAL = 0.3  # fraction of the mean radiance of a point, added in the first step
-OUTLIER = 0.3  # log ratio at which the weight of a sample is halved
-EXPLAINED = 0.12  # maximum median log ratio of a point over its views
-SHARE = 0.65  # minimum fraction of explained samples: reflections may be too sharp
-SIDES = fibonacci(16)  # normals are grouped by these, as model errors depend on the normal
-OF_SIDE = 4  # points needed per side
-FEWEST_SIDES = 3  # sides needed per view
-LARGEST = 0.2  # maximum accepted log gain
-CERTAIN = 4.0  # significance in standard errors
 
 
 class Irradiance(NamedTuple):
@@ -213,158 +187,3 @@ def saturation_sentence(share: float, of: str = "the object's pixels") -> str | 
         f"{100 * share:.0f} % of {of} are saturated or unusable: base colour and "
         "roughness will be off; photograph with a shorter exposure, or in HDR."
     )
-
-
-class Reflections(NamedTuple):
-    """Grey samples of N points in V views, and predicted reflections.
-
-    Attributes:
-        seen: (V, N) bool.
-        shown: (V, N) radiance, positive where seen.
-        diffuse: (N,) radiance of a white diffuse surface.
-        lobes: (L, V, N) radiance of glossy lobes.
-        side: (N,) index of the direction in ``SIDES`` nearest to the normal.
-    """
-
-    seen: np.ndarray
-    shown: np.ndarray
-    diffuse: np.ndarray
-    lobes: np.ndarray
-    side: np.ndarray
-
-    @staticmethod
-    def of(
-        scene: Any, points: Points, sightings: PointSamples, light: tuple[DistantLight, Irradiance]
-    ) -> "Reflections":
-        """Look up the filtered light in the mirror directions of the cameras."""
-        sky, arriving = light
-        cosine, mirror = sightings.mirrored(points)
-        reflected = sky.reflected(mirror.reshape(-1, 3), np.eye(3)).mean(axis=2)
-        reflected = reflected.reshape(-1, *cosine.shape)
-        fresnel = F0 + (1 - F0) * (1 - np.clip(cosine, 0, 1)) ** 5
-        seen = sightings.seen & (cosine > GRAZING)
-        seen &= _sees_sky(scene, points, mirror, seen)
-        kept = seen.sum(axis=0) >= LEAST
-        return Reflections(
-            seen=seen[:, kept],
-            shown=sightings.radiance.mean(axis=2)[:, kept],
-            diffuse=arriving.white.mean(axis=1)[kept],
-            lobes=np.concatenate([reflected, reflected * fresnel])[..., kept],
-            side=(points.normal[kept] @ SIDES.T).argmax(axis=1),
-        )
-
-
-def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return flags of (V, N) samples whose mirror direction is unoccluded."""
-    if not wanted.any():
-        return np.zeros(wanted.shape, bool)
-    view, point = np.nonzero(wanted)
-    surface = points.surface(to_drjit(mi.UInt32, point.astype(np.uint32)))
-    direction = to_drjit(mi.Vector3f, mirror[view, point].T.astype(np.float32))
-    above = dr.dot(surface.geometric_normal, direction) > 0
-    free = np.zeros(wanted.shape, bool)
-    free[view, point] = is_unoccluded(scene, surface, direction, above, coherent=False).numpy()
-    return free
-
-
-@dataclass(frozen=True)
-class ViewGains:
-    """Gains of V photographs, relative to their median.
-
-    Attributes:
-        log: (V,) natural logarithms of gains.
-        noise: (V,) standard errors of ``log``; infinite if unknown.
-        explained: Fraction of the samples that the model explains, in [0, 1].
-    """
-
-    log: np.ndarray
-    noise: np.ndarray
-    explained: float
-
-    @property
-    def known(self) -> np.ndarray:
-        """(V,) bool flags of photographs that can be compared."""
-        return np.isfinite(self.noise) & (self.explained >= SHARE)
-
-    @property
-    def odd(self) -> np.ndarray:
-        """(V,) bool flags of photographs whose gain differs significantly."""
-        limit = np.maximum(LARGEST, CERTAIN * np.where(self.known, self.noise, 0))
-        return self.known & (np.abs(self.log) > limit)
-
-
-def relative_gains(samples: Reflections) -> ViewGains:
-    """Estimate gains and materials alternately, starting from equal gains."""
-    seen, shown = samples.seen, samples.shown
-    log = np.zeros(len(shown))
-    if not seen.any():
-        return ViewGains(log, np.full(len(log), np.inf), 0.0)
-    unit = DARK * max(float(np.median(shown[seen])), 1e-30)
-    count = seen.sum(axis=0)
-    mean = np.where(seen, shown, 0).sum(axis=0) / count
-    weight = seen / (shown + unit + TYPICAL * mean) ** 2
-    for _ in range(STEPS):
-        even = shown * np.exp(-log)[:, None]
-        model = _fit_lobes(even, weight, samples)
-        ratio = np.where(seen, np.log((even + unit) / (model + unit)), np.nan)
-        weight = seen / (model + unit) ** 2 / (1 + (np.nan_to_num(ratio) / OUTLIER) ** 2)
-        # Correct for degrees of freedom: two views of a point are always explained.
-        error = _medians(np.abs(ratio - _medians(ratio, 1)[:, None]), 0) * np.sqrt(
-            count / (count - 2)
-        )
-        known = np.where(error < EXPLAINED, ratio, np.nan)
-        log = log + np.nan_to_num(_medians(known, 1))
-        log = log - np.median(log)
-    return ViewGains(log, _noise(known, samples.side), float(np.isfinite(known).sum() / seen.sum()))
-
-
-def _fit_lobes(shown: np.ndarray, weight: np.ndarray, samples: Reflections) -> np.ndarray:
-    """Return the best fit (V, N) of each point by a diffuse term and one lobe, both positive."""
-    least, model = np.full(shown.shape[1], np.inf), np.zeros_like(shown)
-    diffuse = np.broadcast_to(samples.diffuse, shown.shape)
-    for lobe in samples.lobes:
-        mixed = _fit_lobe(shown, weight, diffuse, lobe)
-        error = (weight * (shown - mixed) ** 2).sum(axis=0)
-        model, least = np.where(error < least, mixed, model), np.minimum(error, least)
-    return model
-
-
-def _fit_lobe(
-    shown: np.ndarray, weight: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray
-) -> np.ndarray:
-    """Fit shown = a diffuse + b lobe per point by weighted least squares with a, b >= 0."""
-
-    def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return (weight * one * other).sum(axis=0)
-
-    aa, bb, ab = product(diffuse, diffuse), product(lobe, lobe), product(diffuse, lobe)
-    sa, sb = product(shown, diffuse), product(shown, lobe)
-    determinant = aa * bb - ab * ab
-    is_both = determinant > 1e-6 * aa * bb
-    divisor = np.where(is_both, determinant, 1)
-    a, b = (sa * bb - sb * ab) / divisor, (sb * aa - sa * ab) / divisor
-    # Otherwise use the single term that explains more.
-    alone_a, alone_b = sa / np.maximum(aa, 1e-30), sb / np.maximum(bb, 1e-30)
-    is_both &= (a >= 0) & (b >= 0)
-    is_diffuse = alone_a * sa >= alone_b * sb
-    a = np.where(is_both, a, np.where(is_diffuse, alone_a, 0))
-    b = np.where(is_both, b, np.where(is_diffuse, 0, alone_b))
-    return a * diffuse + b * lobe
-
-
-def _noise(ratio: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """Return standard errors (V,) of medians of ratios (V, N), from their spread over ``side``."""
-    medians = []
-    for number in np.unique(side):
-        of_side = ratio[:, side == number]
-        enough = np.isfinite(of_side).sum(axis=1) >= OF_SIDE
-        medians.append(np.where(enough, _medians(of_side, 1), np.nan))
-    table = np.stack(medians, axis=1)
-    count = np.isfinite(table).sum(axis=1)
-    spread = 1.48 * _medians(np.abs(table - _medians(table, 1)[:, None]), 1)
-    return np.where(count >= FEWEST_SIDES, spread / np.sqrt(np.maximum(count, 1)), np.inf)
-
-
-def _medians(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return medians of finite values; NaN for empty sets."""
-    return np.ma.median(np.ma.masked_invalid(values), axis=axis).filled(np.nan)

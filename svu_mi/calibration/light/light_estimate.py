@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -31,6 +32,8 @@ class FoundGains:
         logarithm: (V, 3) log gains, with mean 0 over all photographs except outliers.
         noise: (V,) residuals, relative to the noise of the texels; 0 if nothing is seen.
         odd: (V,) bool flags of outliers.
+        sd: (V,) standard deviations of the channel means of ``logarithm``; None if the light was
+            estimated, too.
 
     Example:
         >>> gains.odd.shape, gains.factor.shape
@@ -40,6 +43,7 @@ class FoundGains:
     logarithm: np.ndarray
     noise: np.ndarray
     odd: np.ndarray
+    sd: Any = None
 
     @property
     def factor(self) -> np.ndarray:
