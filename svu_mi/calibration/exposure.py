@@ -35,6 +35,7 @@ from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 
 CELLS, ROUNDS, FASTER = 1024, 6, 0.4  # decay of the overdispersion: the light is known
+SELF_MIRRORED = 0.15  # error of log gains of metal, in which the object is mirrored
 UNITS = 8  # factors of up to 4.5 that correct the unit of the light
 FAR = np.log(2)  # larger log gains are initialized with a rough estimate instead of 0
 FEWEST = 4  # photographs needed to flag outliers
@@ -90,7 +91,8 @@ def estimate_gains(
             gains, _ = step_gains(gains, samples, system, system.step(), noise)
             heat = max(heat * FASTER, 1.0)
             stage.update(done + 1, ROUNDS)
-    return replace(gains, sd=_standard_deviations(system.matrix))
+    metal = float(np.mean(posterior.mean("metallic").numpy()))
+    return replace(gains, sd=np.hypot(_standard_deviations(system.matrix), SELF_MIRRORED * metal))
 
 
 def _standard_deviations(precision: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from svu_mi.cli.import_ import reimport_command
 from svu_mi.cli.loading import NeedFunc, read_capture, with_light_search
 from svu_mi.cli.shared_options import (
     GivenLight,
+    MapOptions,
     Output,
     Overwrite,
     PhotographOptions,
@@ -29,6 +30,7 @@ from svu_mi.core.progress import Progress
 if TYPE_CHECKING:
     from svu_mi.calibration.checks.check_result import Check
     from svu_mi.capture.capture import Capture
+    from svu_mi.capture.importers.import_options import Light
 
 SIDE = 1024  # maximum side of photographs in pixels; comparisons use far fewer
 SHOWN = 5  # worst views in the table
@@ -48,6 +50,7 @@ class CheckCapture(BaseCommand):
     source: SceneOptions
     photographs: PhotographOptions = PhotographOptions()
     light: GivenLight = None
+    convention: MapOptions = MapOptions()
     output: Output = Path("out/check")
     overwrite: Overwrite = False
     strict: bool = False
@@ -55,15 +58,18 @@ class CheckCapture(BaseCommand):
 
     def run(self, console: Console) -> int:
         """Check, print the findings, and write the page."""
+        light = self.convention.light(self.light)
         _ = self.source.defines(), self.photographs.bytes
         with claimed(self.output, "check", overwrite=self.overwrite) as place:
             self.start()
-            capture, result = self._run(Progress(console), place)
+            capture, result = self._run(Progress(console), place, light)
         _print(console, result, capture)
         print_line(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not result.fits else 0
 
-    def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
+    def _run(
+        self, progress: Progress, place: Claim, light: Light | None
+    ) -> tuple[Capture, Check]:  # fmt: skip
         from svu_mi.calibration.checks.check import check
         from svu_mi.calibration.light.resolve_light import photo_gains, with_resolved_light
         from svu_mi.capture.crop import Detail
@@ -76,8 +82,8 @@ class CheckCapture(BaseCommand):
         capture = read_capture(
             progress, self.source, self.photographs, need, Detail(side=SIDE), trust=self.trust
         )  # nothing is cropped: poses may be wrong
-        if self.light is not None:
-            capture = with_resolved_light(capture, self.light, progress=progress)
+        if light is not None:
+            capture = with_resolved_light(capture, light, progress=progress)
         if estimates:
             find = partial(photo_gains, capture, self.output / "light", progress)
         result = check(capture, gains=find, progress=progress)

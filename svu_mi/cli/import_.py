@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -18,7 +18,7 @@ from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.cli.base_command import BaseCommand
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.loading import require_memory
-from svu_mi.cli.shared_options import Count, Number, Output, Overwrite
+from svu_mi.cli.shared_options import Count, MapOptions, Number, Output, Overwrite
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
@@ -35,25 +35,19 @@ Curve = Annotated[Path | None, arg(metavar="FILE")]
 Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z")]
 Color = Annotated[tuple[float, float, float], arg(metavar="R G B")]
 Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction]
+CONVENTION = MapOptions()
 
 
 def _light(
-    environment: Path | None = None,
-    environment_axes: Literal["mitsuba", "opengl", "threejs", "blender"] = "mitsuba",
-    environment_scale: float = 1.0,
+    environment: Path | None = None, convention: MapOptions = CONVENTION
 ) -> Light | None:
     """Return the light given by command-line options.
 
     Args:
         environment: Environment map, a lat-long HDR or EXR file (default: the map of the source).
-        environment_axes: Axes at the top and centre of the map: mitsuba +Y +Z, opengl +Y -Z,
-            threejs +Y +X, blender +Z +X.
-        environment_scale: Factor of the map's radiance, if its unit differs from the photographs.
+        convention: Its axes and unit.
     """
-    if environment is None:
-        return None
-    axes = ENVIRONMENT_AXES[environment_axes]
-    return Light(path=environment, to_world=axes, scale=environment_scale)
+    return convention.light(environment)
 
 
 @dataclass(frozen=True, kw_only=True)

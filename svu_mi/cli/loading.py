@@ -115,6 +115,7 @@ class LitCommand(CaptureCommand):
     """Options of every command that needs the light and statistics of a capture."""
 
     light: opt.GivenLight = None
+    convention: opt.MapOptions = opt.MapOptions()
     kept: opt.CacheOptions = opt.CacheOptions()
 
     def load_with_light(
@@ -128,15 +129,15 @@ class LitCommand(CaptureCommand):
         capture, grid = self.load(progress, need, size, **options)
         gains, folder = self.capture.photographs.estimates_gains, self.side_folders[1]
         lit = with_resolved_light(
-            capture, self.light, elsewhere=folder, gains=gains, progress=progress,
-            known=opt.known_values(known, capture.shape, MIXED),
+            capture, self.convention.light(self.light), elsewhere=folder, gains=gains,
+            progress=progress, known=opt.known_values(known, capture.shape, MIXED),
         )  # fmt: skip
         return self.kept.of(lit, progress), grid
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
         super().check()
-        _ = self.kept.bytes
+        _ = self.kept.bytes, self.convention.light(self.light)
 
 
 @dataclass(frozen=True, kw_only=True)

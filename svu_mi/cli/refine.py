@@ -6,7 +6,13 @@ from pathlib import Path
 
 from svu_mi.cli.base_command import ResultCommand
 from svu_mi.cli.loading import read_capture, with_light_search
-from svu_mi.cli.shared_options import GivenLight, Output, PhotographOptions, SceneOptions
+from svu_mi.cli.shared_options import (
+    GivenLight,
+    MapOptions,
+    Output,
+    PhotographOptions,
+    SceneOptions,
+)
 from svu_mi.core.io.output_folder import Claim
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
@@ -30,6 +36,7 @@ class Refine(ResultCommand):
     photographs: PhotographOptions = PhotographOptions()
     output: Output = Path("refined")
     light: GivenLight = None
+    convention: MapOptions = MapOptions()
 
     def check(self) -> None:
         """Refuse invalid options (OptionError)."""
@@ -43,6 +50,7 @@ class Refine(ResultCommand):
             )
         if self.photographs.images is not None:
             raise OptionError("svu refine copies the photographs of a capture; omit --images.")
+        self.convention.light(self.light)
 
     def work(self, progress: Progress, place: Claim) -> list[str]:
         """Refine the poses, and copy the capture."""
@@ -57,8 +65,9 @@ class Refine(ResultCommand):
         )
         gains = self.photographs.estimates_gains
         lit = with_resolved_light(
-            capture, self.light, elsewhere=self.output / "light", gains=gains, progress=progress
-        )
+            capture, self.convention.light(self.light), elsewhere=self.output / "light",
+            gains=gains, progress=progress,
+        )  # fmt: skip
         refined = refine_poses(lit, progress)
         with progress.stage("Copying the capture"):
             write_copy(self.source.scene, refined.capture, place)

@@ -40,7 +40,8 @@ class Relight(CaptureCommand, ResultCommand):
     recovered: From
     """Folder written by svu recover --draws N."""
     environment: Map = None
-    """Lat-long EXR or HDR map, top +Y, centre +Z (default: the light of the capture)."""
+    """Lat-long EXR or HDR map (default: the light of the capture)."""
+    convention: opt.MapOptions = opt.MapOptions()
     sensors: Poses = None
     """File of poses: transforms.json, capture.json or Mitsuba XML (default: the poses of some
     photographs, see --views)."""
@@ -62,7 +63,8 @@ class Relight(CaptureCommand, ResultCommand):
         opt.require_range("--side", self.side, 1, MOST_PIXELS)
         opt.require_range("--views", self.views, 1)
         opt.require_range("--seed", self.seed, 0)
-        if self.environment is not None and not self.environment.is_file():
+        light = self.convention.light(self.environment)
+        if light is not None and not light.path.is_file():
             raise CaptureError(
                 f"{self.environment}: no such file; --environment takes a lat-long map (EXR or "
                 "HDR)."
@@ -80,8 +82,8 @@ class Relight(CaptureCommand, ResultCommand):
         need = partial(Need, "relight", resolution=textures.resolution)
         capture, _ = self.load(progress, need, textures.resolution)
         capture = capture_of_textures(capture, self.recovered)
-        if self.environment is not None:
-            capture, notes = with_map(capture, self.environment)
+        if (light := self.convention.light(self.environment)) is not None:
+            capture, notes = with_map(capture, light)
             for note in notes:
                 progress.say(note)
         elif not capture.scene.emitters():

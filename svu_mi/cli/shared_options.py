@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
+from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, Light
 from svu_mi.core.validation import require_spp, require_texels
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
@@ -65,8 +66,8 @@ GivenLight = Annotated[
     Path | None,
     arg(
         metavar="FOLDER | MAP",
-        help="Environment map: folder written by svu light, or lat-long EXR or HDR, top +Y, centre "
-        "+Z (default: the map of the scene; estimated if it has none).",
+        help="Environment map: folder written by svu light, or lat-long EXR or HDR; see "
+        "--environment-axes (default: the map of the scene; estimated if it has none).",
     ),
 ]
 Known = Annotated[
@@ -101,6 +102,26 @@ class SceneOptions:
             if not (key and separator):
                 raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
         return {key: value for key, _, value in pairs}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions:
+    """Convention of an environment map."""
+
+    environment_axes: Literal["mitsuba", "opengl", "threejs", "blender"] = "mitsuba"
+    """Axes at the top and centre of the environment map: mitsuba +Y +Z, opengl +Y -Z, threejs
+    +Y +X, blender +Z +X."""
+    environment_scale: float = 1.0
+    """Factor of the map's radiance, if its unit differs from the photographs."""
+
+    def light(self, path: Path | None) -> Light | None:
+        """Return a map, or the folder of a light; None without a path."""
+        if path is not None:
+            axes = ENVIRONMENT_AXES[self.environment_axes]
+            return Light(path=path, to_world=axes, scale=self.environment_scale)
+        if self != MapOptions():
+            raise OptionError("--environment-axes and --environment-scale need a map; give it.")
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

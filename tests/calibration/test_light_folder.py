@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from svu_mi.calibration.light.light_summary import (
 from svu_mi.calibration.light.resolve_light import with_light, with_map, with_resolved_light
 from svu_mi.capture.capture import LightUncertainty
 from svu_mi.capture.content_hash import capture_key, capture_parts, photographs_key
+from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.npz import read_arrays, write_arrays
@@ -200,10 +202,28 @@ def test_the_scene_keeps_its_integrator(gray_ball):
 
 
 def test_a_map_replaces_the_light_and_is_certain(gray_ball, kept):
-    lit, notes = with_map(svu.with_light(gray_ball, made_up_light()), kept / "light.exr")
+    lit, notes = with_map(
+        svu.with_light(gray_ball, made_up_light()), svu.Light(path=kept / "light.exr")
+    )
     assert not notes and lit.light_uncertainty is None and lit.found_light is None
     data = mi.traverse(lit.environment)["data"].numpy()[:, 1:-1]
     np.testing.assert_array_equal(data, made_up_light().radiance)
+
+
+def test_a_map_may_have_other_axes_and_another_unit(gray_ball, kept):
+    """The emitter shows the map turned: along R d it is what the plain map is along d."""
+    axes, toward = ENVIRONMENT_AXES["blender"], np.array([0.48, -0.6, 0.64])
+    lights = [svu.Light(path=kept / "light.exr"),
+              svu.Light(path=kept / "light.exr", to_world=axes, scale=2.0)]  # fmt: skip
+    shown = []
+    for light, direction in zip(lights, (toward, axes @ toward), strict=True):
+        sky = with_map(gray_ball, light)[0].environment
+        interaction = dr.zeros(mi.SurfaceInteraction3f)
+        interaction.wi = -mi.Vector3f(direction.tolist())
+        shown.append(np.array(sky.eval(interaction)).ravel())
+    np.testing.assert_allclose(shown[1], 2 * shown[0], rtol=1e-4)
+    with pytest.raises(OptionError, match="environment-scale are for maps"):
+        with_resolved_light(gray_ball, svu.Light(path=kept, scale=2.0))
 
 
 def test_a_capture_without_a_light_names_the_way_to_one(gray_ball):
@@ -219,7 +239,7 @@ def test_a_capture_without_a_light_names_the_way_to_one(gray_ball):
 def test_a_light_that_moves_is_refused_in_one_sentence(gray_ball, kept):
     svu.save_light(replace(made_up_light(), moves=True, misfit=(0.02, 0.01)), kept)
     with pytest.raises(SceneError, match="The light moves with the camera"):
-        with_resolved_light(gray_ball, kept)
+        with_resolved_light(gray_ball, svu.Light(path=kept))
 
 
 # --- brightness -------------------------------------------------------------------------------

@@ -73,7 +73,8 @@ def lit(folder: Path, given: Path | None = None, elsewhere: Path | None = None) 
     """Return the capture of a folder with a light, and the printed lines."""
     progress = Said()
     capture = svu.load_capture(folder, light="optional")
-    lit = resolve_light.with_resolved_light(capture, given, elsewhere=elsewhere, progress=progress)
+    light = given and svu.Light(path=given)
+    lit = resolve_light.with_resolved_light(capture, light, elsewhere=elsewhere, progress=progress)
     return lit, "\n".join(progress.lines)
 
 
@@ -233,7 +234,9 @@ def test_exposures_that_nobody_recorded_are_estimated_if_they_differ(dark, monke
         assert [(dark / name).is_dir() for name in ("light", "light-gains")] == [not differ, differ]
     assert asked == [False, True]  # the second time, what was kept is used
     write_exr(dark / "even.exr", {"RGB": np.ones((8, 16, 3), np.float32)})
-    resolve_light.with_resolved_light(capture, dark / "even.exr", gains=None, progress=progress)
+    resolve_light.with_resolved_light(
+        capture, svu.Light(path=dark / "even.exr"), gains=None, progress=progress
+    )
     assert "taken as equal under the given light" in progress.lines[-1]
 
 

@@ -38,7 +38,7 @@ FLIP_IMPROVEMENT = 0.03  # minimum difference of the correlation with a texture
 FEWEST_VIEWS = 8  # for gains: 4 views of each point
 LARGEST = 0.2  # maximum accepted log gain
 CERTAIN = 4.0  # significance of gains in standard deviations
-COMPARABLE = 0.125  # maximum standard deviation of a log gain
+COMPARABLE = 0.1  # maximum standard deviation of a log gain
 NAMED = 5  # maximum number of photographs named in a sentence
 UNKNOWN = {
     "light": "The orientation of the light cannot be determined: {}.",

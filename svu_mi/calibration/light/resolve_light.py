@@ -41,7 +41,7 @@ from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.io.provenance import LIGHT
 from svu_mi.core.progress import Progress
-from svu_mi.errors import CaptureError, OutputError, SceneError
+from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
 from svu_mi.geometry.texels import texels
 
 EMITTER = "found_light"  # id of the emitter
@@ -75,21 +75,21 @@ def with_light(capture: Capture, light: LightEstimate) -> Capture:
             "photograph a static object under static light."
         )
     uncertainty = LightUncertainty(light.widening, tuple(float(sd) for sd in light.scale_sd))
-    scene = _scene_under(capture, light.radiance)
+    scene = _scene_under(capture, light.radiance, np.eye(4))
     return replace(capture, scene=scene, light_uncertainty=uncertainty, found_light=light)
 
 
-def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
-    """Return the capture under a lat-long map (frame of Mitsuba's ``envmap``), and notes."""
-    pixels, _, notes = read_environment_map(Light(path=Path(path)))
-    scene = _scene_under(capture, pixels)
+def with_map(capture: Capture, light: Light) -> tuple[Capture, list[str]]:
+    """Return the capture under a lat-long map, and notes."""
+    pixels, to_world, notes = read_environment_map(light)
+    scene = _scene_under(capture, pixels, to_world)
     return replace(capture, scene=scene, light_uncertainty=None, found_light=None), notes
 
 
-def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
+def _scene_under(capture: Capture, radiance: np.ndarray, to_world: np.ndarray) -> Any:
     """Return a scene with the shapes of the capture under a map (H, W, 3)."""
     emitter = mi.load_dict({
-        "type": "envmap", "id": EMITTER,
+        "type": "envmap", "id": EMITTER, "to_world": mi.ScalarTransform4f(to_world),
         "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
     })  # fmt: skip
     integrator = capture.scene.integrator()  # None if not set
@@ -98,7 +98,7 @@ def _scene_under(capture: Capture, radiance: np.ndarray) -> Any:
 
 
 def with_resolved_light(
-    capture: Capture, given: Path | None = None, *, elsewhere: Path | None = None,
+    capture: Capture, given: Light | None = None, *, elsewhere: Path | None = None,
     gains: bool | None = False, known: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Capture:  # fmt: skip
@@ -106,8 +106,8 @@ def with_resolved_light(
 
     Args:
         capture: Capture loaded with ``light="optional"``.
-        given: Folder written by ``svu light``, or lat-long map in the frame of Mitsuba's
-            ``envmap``; replaces the light of the scene.
+        given: Lat-long map, or folder written by ``svu light``, which has no other axes or scale;
+            replaces the light of the scene.
         elsewhere: Cache folder of the estimate, if the folder of the capture is read-only.
         gains: Estimate gains of the photographs, divide by them, and exclude outliers. None does
             so if the light is estimated, exposures are not recorded, and gains differ. Gains that
@@ -137,7 +137,7 @@ def photo_gains(
 
 
 def _resolved(
-    capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool | None,
+    capture: Capture, given: Light | None, elsewhere: Path | None, gains: bool | None,
     progress: Progress, known: Mapping[str, float] | None = None,
 ) -> tuple[Capture, FoundGains | None]:  # fmt: skip
     """Return the capture with a light, and gains if available or requested."""
@@ -216,10 +216,16 @@ def with_needed_gains(light: LightEstimate) -> tuple[LightEstimate, str]:
 
 
 def _under_given(
-    capture: Capture, given: Path, progress: Progress
+    capture: Capture, chosen: Light, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
     """Return the capture under a given light, and gains that were estimated with it."""
+    given = chosen.path
     if given.is_dir():
+        if chosen.scale != 1 or (chosen.to_world != np.eye(3)).any():
+            raise OptionError(
+                f"{given}: --environment-axes and --environment-scale are for maps; omit them for "
+                "a folder of svu light."
+            )
         light, key = load_light(given), photographs_of(given)
         is_same = key == photographs_key(capture)
         if not is_same and key:
@@ -236,7 +242,7 @@ def _under_given(
             f"{given}: no such file or folder; give a folder written by svu light, or an "
             "environment map (EXR or HDR)."
         )
-    with_given, notes = with_map(capture, given)
+    with_given, notes = with_map(capture, chosen)
     if capture.exposures_relative:
         notes = [*notes, RELATIVE_GAINS]
     for note in notes:
