@@ -297,7 +297,9 @@ def test_light_with_gains_has_its_own_cache(vase, tmp_path, monkeypatch):
         for v in range(24)
     ])  # fmt: skip
     assert np.sqrt(np.mean((-ratio - np.log(true)) ** 2)) < 0.06
-    folder = with_resolved_light(capture, dark / "light-gains", progress=Said())
+    folder = with_resolved_light(
+        capture, svu.Light(path=dark / "light-gains"), progress=Said()
+    )
     np.testing.assert_array_equal(
         folder.images[5], lit.images[5]
     )  # gains are cached with their light
