@@ -73,19 +73,19 @@ class LightVisibility:
 
     def hidden_share(self, surface: TexelLanes) -> np.ndarray:
         """Return the share of directions that are occluded, weighted by the cosine, (S,)."""
-        cells, first = self.tree.fine, self.tree.first_leaf
 
         def add(cell: Any, whole: Any, free: Any) -> tuple[Any, Any, Any]:
-            start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
-            direction = cells.at(cell)[0]
+            fine = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
+            start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, k) for k in fine)
+            direction = self.tree.coarse.at(cell)[0]
             cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
             above = dr.dot(surface.geometric_normal, direction) > 0
             share = dr.select(above, cosine * (end - start), 0)  # leaves have equal solid angles
-            visible = dr.select(self.fine.test(cell, self.place), share, 0)
+            visible = dr.select(self.coarse.test(cell, self.place), share, 0)
             return cell + 1, whole + share, free + visible
 
         zero = dr.zeros(mi.Float, surface.count)
-        whole, free = fold(0, cells.count, add, zero, zero)
+        whole, free = fold(0, self.tree.coarse.count, add, zero, zero)
         return np.array(dr.select(whole > 0, 1 - free / whole, 0))
 
 
