@@ -111,7 +111,7 @@ ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
     "direct light": lambda case: case.figures(case.direct),
     "all bounces, ignored": lambda case: case.figures(case.bounced, known=False),
     "all bounces": lambda case: case.figures(case.bounced, bounces=True),
-    "black table": lambda case: case.figures(case.on_known_table(BLACK)),
+    "black table": lambda case: case.figures(case.on_known_table(BLACK), bounces=True),
     "grey table, ignored": lambda case: case.figures(
         on_table(case.direct, GREY, case.photographs["spp"]), known=False
     ),

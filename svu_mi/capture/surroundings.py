@@ -1,14 +1,13 @@
-"""Surroundings of the object: other shapes that reflect light, and the object as photographed."""
+"""Surroundings of the object: other shapes that reflect light."""
 
 import re
-from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
+from svu_mi.capture.mesh import arrays, make_mesh
 from svu_mi.capture.replace_material import other_shapes, scene_around
 
 BLACK = 0.05  # largest reflectance of black cloth, paper or paint
@@ -16,25 +15,6 @@ HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brig
 NESTED = re.compile(r"^((nested_bsdf|[a-z]+_\d)\.)+")  # prefix of parameters of nested BSDFs
 SMALL = 0.01  # fraction of all directions; shapes that cover less are ignored
 DEPTH, DIRECT = 6, 2  # longest paths that are traced, and paths without reflected light
-WHITEST = 0.95  # maximum reflectance of unseen texels
-
-
-@dataclass(frozen=True)
-class Appearance:
-    """The object as photographed: seen texels emit their radiance, unseen ones reflect light.
-
-    Attributes:
-        radiance: (H, W, 3), row 0 at v = 0; NaN where unseen.
-        reflectance: (3,), of unseen texels.
-    """
-
-    radiance: np.ndarray
-    reflectance: np.ndarray
-
-    @property
-    def unseen(self) -> np.ndarray:
-        """(H, W, 1) bool."""
-        return np.isnan(self.radiance[..., :1])
 
 
 def reflecting_shapes(scene: Any, target: Any) -> list[Any]:
@@ -59,39 +39,24 @@ def path_length(scene: Any) -> int:
     return int(match[1]) if int(match[1]) < 2**31 else -1
 
 
-def surroundings(capture: Capture, appearance: Appearance | None) -> tuple[Any, Any]:
-    """Return the scene with the object as photographed (None: black), and an integrator for it."""
-    shape = _object(arrays(capture.mesh), appearance)
-    scene = scene_around(shape, capture)
-    reflects = bool(reflecting_shapes(capture.scene, capture.shape))
-    reflects |= appearance is not None and bool(appearance.unseen.any())
-    length = path_length(capture.scene) if reflects else 1
+def surroundings(capture: Capture, radiance: np.ndarray | None) -> tuple[Any, Any]:
+    """Return the scene, with the object first, and an integrator for light of other shapes.
+
+    The integrator is None if they are black. The object is black, or emits ``radiance``, (H, W, 3)
+    with row 0 at v = 0.
+    """
+    props = mi.Properties()
+    if radiance is not None:
+        bitmap = mi.Bitmap(np.ascontiguousarray(radiance, np.float32))
+        image = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest"}
+        props["emitter"] = mi.load_dict({"type": "area", "radiance": image})
+    props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
+    shape = make_mesh("object", arrays(capture.mesh), props)
+    scene, length = scene_around(shape, capture), path_length(capture.scene)
+    if not reflecting_shapes(capture.scene, capture.shape):
+        return scene, None
     depth = DEPTH if length < 0 else min(length, DEPTH)
     return scene, mi.load_dict({"type": "path", "max_depth": depth})
-
-
-def mean_reflectance(radiance: np.ndarray, irradiance: np.ndarray) -> np.ndarray:
-    """Return the reflectance (3,) of a diffuse object with these (n, 3) values."""
-    total = np.maximum(irradiance.sum(axis=0), np.finfo(np.float32).tiny)
-    return np.clip(np.pi * radiance.sum(axis=0) / total, 0, WHITEST)
-
-
-def _object(mesh: MeshArrays, appearance: Appearance | None) -> Any:
-    """Return a mesh that looks as photographed."""
-    props = mi.Properties()
-    reflectance: Any = 0.0
-    if appearance is not None:
-        unseen = appearance.unseen
-        reflectance = _texture(np.where(unseen, appearance.reflectance, 0))
-        radiance = _texture(np.where(unseen, 0, appearance.radiance))
-        props["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
-    props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": reflectance})
-    return make_mesh("object", mesh, props)
-
-
-def _texture(image: np.ndarray) -> Any:
-    bitmap = mi.Bitmap(np.ascontiguousarray(image, np.float32))
-    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest"}
 
 
 def is_black(bsdf: Any) -> bool:

@@ -3,7 +3,7 @@
 It varies slowly over directions. Above each texel, its radiance L and the hidden part H (1 where a
 ray hits something) are expanded into spherical harmonics in the frame of the normal. Both are
 mirrored below the horizon, which makes them smooth there: only coefficients with even l + m remain.
-They exclude the object as photographed, which each lobe samples by rays (``NearLobes``).
+They exclude the object as shown, which each lobe samples by rays (``NearLobes``).
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,8 @@ DEGREE = 6
 EVEN = [l * l + l + m for l in range(DEGREE + 1) for m in range(-l, l + 1) if (l + m) % 2 == 0]
 PARTS = 4  # R, G and B of L, and H
 GOLDEN = (5**0.5 - 1) / 2
-SAMPLES, FEWEST, MOST = 2**22, 64, 512  # rays in all, and of each texel
+SAMPLES, FEWEST = 2**22, 64  # rays of all texels, and of each
+MOST = 128, 512  # rays of each texel to the object only, and to other shapes
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,11 @@ class NearLight:
 
     Attributes:
         values: (4 K N,) Float: K coefficients of R, G, B and H in the order of ``EVEN``, each at
-            all N traced texels.
+            all N traced texels; empty if other shapes are black.
         moments: Diffuse moments (``LightVisibility.diffuse``), 8 (S,) Floats for R, G and B.
         count: Opaque UInt32, N.
         place: (S,) UInt32, index of each texel among the traced ones.
-        shown: Scene whose first shape is the object as photographed; None if it is black.
+        shown: The object (``ShownObject``); None if it is black.
     """
 
     values: Any
@@ -52,6 +53,8 @@ class NearLight:
 
     def at(self, lane: Any, local: Any) -> list[list[Any]]:
         """Evaluate R, G, B and H in a direction of the local frame: a Float for each degree."""
+        if not dr.width(self.values):
+            return [[mi.Float(0)] * (DEGREE + 1)] * PARTS
         basis, size = dr.sh_eval(local, DEGREE), len(EVEN)
         place = dr.gather(mi.UInt32, self.place, lane)
         parts = [[mi.Float(0)] * (DEGREE + 1) for _ in range(PARTS)]
@@ -63,17 +66,18 @@ class NearLight:
         return parts
 
 
-def ray_count(texels: int) -> int:
-    """Return the number of rays of each texel."""
-    return int(np.clip(SAMPLES // max(texels, 1), FEWEST, MOST))
+def ray_count(texels: int, others: bool) -> int:
+    """Return the number of rays of each texel, to the object itself and perhaps ``others``."""
+    return int(np.clip(SAMPLES // max(texels, 1), FEWEST, MOST[others]))
 
 
 def trace_near_light(
-    scene: Any, integrator: Any, surface: TexelLanes, rays: int, shown: bool = False
+    scene: Any, integrator: Any, surface: TexelLanes, rays: int, shown: Any = None
 ) -> NearLight:
-    """Trace rays to other surfaces, whose radiance ``integrator`` returns.
+    """Trace rays to other surfaces.
 
-    If the object is ``shown`` as photographed, its radiance is in the moments only.
+    ``integrator`` returns the radiance of other shapes; None if they are black. If the object is
+    ``shown``, its radiance is in the moments only.
     """
     count, sampler = surface.count, mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, 0), count)
@@ -95,26 +99,30 @@ def trace_near_light(
         met = scene.ray_intersect_preliminary(toward, active=up)
         hidden, own = up & met.is_valid(), met.shape == mi.ShapePtr(target)
         glow = mi.Color3f(0)
-        if shown:
-            place = met.compute_surface_interaction(toward, mi.RayFlags.UV, hidden & own)
-            glow = target.emitter().eval(place, hidden & own)
-            hidden &= dr.max(glow) <= 0
-        # Lamps are sampled directly (``lamps``).
-        shines = hidden & (~met.shape.is_emitter() | own)
-        color, _, _ = integrator.sample(scene, sampler, toward, None, shines)
-        color = dr.select(shines & dr.all(dr.isfinite(color)), color, 0)
-        basis = dr.sh_eval(local, DEGREE)
-        expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
-        added = [2 * value * basis[index] for value in expanded for index in EVEN]
-        for value in color + glow:
+        if shown is not None:
+            glow = shown.radiance(toward, met, hidden & own)
+            hidden &= ~own
+        added = []
+        if integrator is not None:
+            # Lamps are sampled directly (``lamps``).
+            shines = hidden & (~met.shape.is_emitter() | own)
+            color, _, _ = integrator.sample(scene, sampler, toward, None, shines)
+            color = dr.select(shines & dr.all(dr.isfinite(color)), color, 0)
+            glow += color
+            basis = dr.sh_eval(local, DEGREE)
+            expanded = [*color, dr.select(hidden, mi.Float(1), 0)]
+            added = [2 * value * basis[index] for value in expanded for index in EVEN]
+        for value in glow:
             added += diffuse_moments(value, z, world)
         return (ray + 1, sampler, *(a + b for a, b in zip(sums, added, strict=True)))
 
-    size, zero = PARTS * len(EVEN), dr.zeros(mi.Float, count)
+    size, zero = PARTS * len(EVEN) * (integrator is not None), dr.zeros(mi.Float, count)
     _, *sums = fold(0, number, add, sampler, *[zero] * (size + 3 * MOMENTS))
     sums = [2 * np.pi * step * total for total in sums]
     lanes = dr.opaque(mi.UInt32, count)
-    values = scatter_strided(dr.zeros(mi.Float, size * count), sums[:size], surface.lane, lanes)
+    values = dr.zeros(mi.Float, size * count)
+    if size:
+        values = scatter_strided(values, sums[:size], surface.lane, lanes)
     moments = [sums[first : first + MOMENTS] for first in range(size, len(sums), MOMENTS)]
     dr.eval(values, moments)
-    return NearLight(values, moments, lanes, surface.lane, scene if shown else None)
+    return NearLight(values, moments, lanes, surface.lane, shown)

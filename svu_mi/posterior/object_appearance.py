@@ -1,46 +1,82 @@
-"""Appearance of the object, estimated from photographs, for the light that it reflects itself."""
+"""The object, with estimated materials, for the light that it reflects onto itself.
 
-from typing import TYPE_CHECKING
+Materials of some texels are estimated as if there were no such light, so that the brightness of the
+photographs is reproduced. Other texels have those of the nearest one.
+"""
 
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.scene import lamps_of
-from svu_mi.capture.surroundings import Appearance, mean_reflectance
-from svu_mi.core.arrays import evenly_spaced
-from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.capture.surroundings import surroundings
+from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.geometry.texels import filled_image
-from svu_mi.light.lamps import trace_lamps
-from svu_mi.light.light_visibility import trace_light_visibility
+from svu_mi.posterior.calibrated_fit import fit, problem_of
+from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.posterior.sample_statistics import sample_factors
 from svu_mi.presets import AngularPreset
+from svu_mi.reflection.principled import diffuse_from_principled, specular_from_principled
+from svu_mi.reflection.reflection_model import ReflectionModel
+from svu_mi.reflection.render_model import prefiltered_model
+from svu_mi.reflection.roughness_levels import roughness_levels
+from svu_mi.reflection.shown_object import ShownObject
+from svu_mi.statistics.gather_statistics import Weighting
 
 if TYPE_CHECKING:
     from svu_mi.posterior.observations import Observed
 
-REFLECTING = 1024  # number of texels from which the reflectance of unseen ones is estimated
+MOST = 2**12  # number of texels whose materials are estimated
+LEVELS = 8  # number of roughness levels of prefiltered light
 
 
-def object_appearance(observed: "Observed", switches: AngularPreset) -> Appearance:
-    """Return mean radiance of seen texels; unseen ones get the object's mean reflectance."""
-    every = observed.lanes(np.arange(observed.texels.count))
-    radiance = observed.visibility.mean_color(observed.views, every)
-    seen = np.flatnonzero(observed.coverage)
-    some = seen[evenly_spaced(len(seen), REFLECTING)]
-    irradiance = _direct_irradiance(observed, observed.lanes(some), switches)
-    return Appearance(
-        filled_image(observed.texels, radiance), mean_reflectance(radiance[some], irradiance)
-    )
+def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, Any]:
+    """Return the object, its scene, and an integrator for light of other shapes."""
+    switches = AngularPreset(cells=cells)
+    seen, every = np.flatnonzero(observed.coverage), observed.texels.count
+    chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
+    part = observed.subset(chosen)
+    model = part.model(roughness_levels(switches.levels), switches, 3)
+    materials = _estimated(part, model)
+    roughness, metallic, color = np.split(materials, [1, 2], axis=1)
+    near, lamps = part.near_light(switches), part.lamps(switches)
+    others = [light.moments for light in (near, lamps) if light is not None]
+    total, other = _irradiance(model.moments), sum(map(_irradiance, others), np.zeros(3))
+    seen_as = part.visibility.mean_color(part.views, part.surface)
+    unseen = np.isnan(seen_as)
+    expected = _matte(color, metallic, total, total)[~unseen].sum()
+    color = color * (seen_as[~unseen].sum() / max(expected, np.finfo(np.float32).tiny))
+    mean = np.where(unseen, _matte(color, metallic, total, total), seen_as)
+    texels = observed.texels.subset(part.seen)
+    scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
+    # Lobes read distant light only.
+    matte = _matte(color, metallic, total, other)
+    values = np.concatenate([matte, roughness, color, metallic], axis=1).astype(np.float32)
+    light = prefiltered_model(observed.distant_light, switches, LEVELS)
+    flat = to_drjit(mi.Float, filled_image(texels, values).ravel())
+    shown = ShownObject(scene, light, flat, observed.texels.resolution)
+    return shown, scene, integrator
 
 
-def _direct_irradiance(
-    observed: "Observed", surface: TexelLanes, switches: AngularPreset
+def _estimated(part: "Observed", model: ReflectionModel) -> np.ndarray:
+    """Return roughness, metallic and base colour, (S, 5); unseen texels have the mean."""
+    switches = model.switches
+    factors = sample_factors(part, model, 3, Weighting(switches.kappa(part.unit), switches.edges))
+    problem = problem_of(factors, PrincipledGrid(), part.unit, switches, None, 1)
+    means = fit(problem, switches, part.unit, None).summary.mean
+    found, seen = np.stack([np.array(x) for x in means], axis=1), factors.views.numpy() > 0
+    found[~seen] = found[seen].mean(axis=0)
+    return found
+
+
+def _matte(
+    color: np.ndarray, metallic: np.ndarray, diffuse: np.ndarray, specular: np.ndarray
 ) -> np.ndarray:
-    """Return the irradiance of environment and lamps, (S, 3)."""
-    scene, occluded = observed.views.scene, switches.occluded
-    tree, lamps = observed.light_tree(switches.cells), lamps_of(observed.capture.scene)
-    cells = trace_light_visibility(scene, surface, tree, occluded=occluded)
-    moments = cells.diffuse(surface, observed.distant_light, 3)
-    total = np.stack([of_channel[0].numpy() for of_channel in moments], axis=-1)
-    if lamps:
-        near = trace_lamps(scene, lamps, surface, occluded=occluded).moments
-        total += np.stack([of_channel[0].numpy() for of_channel in near], axis=-1)
-    return total
+    """Return the radiance of matte surfaces, (S, 3), from irradiances of both components."""
+    reflected = diffuse_from_principled(color, metallic) * diffuse
+    return np.asarray(reflected + specular_from_principled(color, metallic) * specular) / np.pi
+
+
+def _irradiance(moments: list[list[Any]]) -> np.ndarray:
+    """Return the irradiance, (S, 3), from diffuse moments."""
+    return np.stack([of_channel[0].numpy() for of_channel in moments], axis=1)

@@ -49,11 +49,12 @@ from svu_mi.posterior.kept_results import (
     restore_light_visibility,
     restore_visibility,
 )
-from svu_mi.posterior.object_appearance import object_appearance
+from svu_mi.posterior.object_appearance import shown_object
 from svu_mi.posterior.sample_statistics import sample_statistics
 from svu_mi.presets import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
+from svu_mi.reflection.shown_object import ShownObject
 from svu_mi.statistics.gather_statistics import UNIFORM, Weighting, rounding_sums
 from svu_mi.statistics.statistics import Statistics
 
@@ -242,15 +243,14 @@ class Observed:
             return None
         key = "near", switches.bounces
         if key not in self._rays:
-            scene, integrator = self._surroundings(switches)
-            self._rays[key] = trace_near_light(
-                scene, integrator, self.surface, ray_count(len(self.seen)), switches.bounces
-            )
+            shown, scene, integrator = self._surroundings(switches)
+            rays = ray_count(len(self.seen), integrator is not None)
+            self._rays[key] = trace_near_light(scene, integrator, self.surface, rays, shown)
         near: NearLight = self._rays[key]
         return near
 
-    def _surroundings(self, switches: AngularPreset) -> tuple[Any, Any]:
-        """Return scene and integrator of ``surroundings``; cached."""
+    def _surroundings(self, switches: AngularPreset) -> tuple[ShownObject | None, Any, Any]:
+        """Return the object, None if it is black, and scene and integrator; cached."""
         if switches.bounces and self.capture.flash is not None:
             raise OptionError(
                 "Light that the object reflects onto itself is not supported with a flash; omit "
@@ -258,9 +258,9 @@ class Observed:
             )
         key = "around", switches.bounces
         if key not in self._of_light:
-            shown = object_appearance(self, switches) if switches.bounces else None
-            self._of_light[key] = surroundings(self.capture, shown)
-        around: tuple[Any, Any] = self._of_light[key]
+            found = shown_object(self, switches.cells) if switches.bounces else None
+            self._of_light[key] = found or (None, *surroundings(self.capture, None))
+        around: tuple[ShownObject | None, Any, Any] = self._of_light[key]
         return around
 
     def lamps(self, switches: AngularPreset) -> Lamps | None:

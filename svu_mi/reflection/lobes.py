@@ -75,6 +75,7 @@ def lobe_profile(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
     return partial(zonal_profile, lobe)
 
 
+@lru_cache
 def zonal_factors(
     profile: Callable[[float, np.ndarray], np.ndarray], alpha: float, degree: int
 ) -> np.ndarray:
@@ -183,18 +184,16 @@ def _albedo(alpha: float) -> np.ndarray:
 
 
 def split_sum(alpha: np.ndarray) -> np.ndarray:
-    """Return A and B of GGX's albedo R0 A + B [Karis 2013], (R, ALBEDO_NODES, 2)."""
-    return np.stack([_albedo(float(a))[:2].T for a in alpha])
+    """Return A, B and D of GGX lobes, (R, ALBEDO_NODES, 3) [Karis 2013].
+
+    The albedo of a metal is R0 A + B, that of a dielectric, with exact Fresnel, D.
+    """
+    return np.stack([_albedo(float(a)).T for a in alpha])
 
 
 def mean_albedo(alpha: np.ndarray) -> np.ndarray:
     """Return the albedo of lobes with R0 = 1, averaged over cos theta_o, (R,)."""
-    return split_sum(alpha).sum(axis=2).mean(axis=1)
-
-
-def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
-    """Return the albedo of a dielectric's GGX lobe with exact Fresnel, (R, ALBEDO_NODES)."""
-    return np.stack([_albedo(float(a))[2] for a in alpha])
+    return split_sum(alpha)[..., :2].sum(axis=2).mean(axis=1)
 
 
 def _visible_normals(view: np.ndarray, alpha: float) -> np.ndarray:

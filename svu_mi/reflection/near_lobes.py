@@ -2,12 +2,11 @@
 
 A lobe of width alpha averages the radiance of other surfaces, by zonal factors of each degree. Its
 hidden part is averaged likewise, or, for lobes narrower than the expansion, decided by the ray in
-the mirror direction. If the object is shown as photographed, rays of all lobes sample its radiance
-and the part that other surfaces hide.
+the mirror direction. If the object is not black, rays of all lobes sample its radiance and the part
+that other surfaces hide.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -19,11 +18,12 @@ from svu_mi.geometry.sample_view import TexelLanes, mirror_direction
 from svu_mi.light.near_light import DEGREE, NearLight
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.albedo_table import AlbedoTable
-from svu_mi.reflection.lobes import dominance, lobe_profile, zonal_factors
+from svu_mi.reflection.lobes import dominance, ggx, lobe_profile, smith_g1, zonal_factors
 from svu_mi.reflection.wide_lobes import Lobe
 
 FAINT = 0.02  # minimum hidden part
-FEWEST, NARROWEST = 8, 0.01  # number of rays that sample the object, and smallest alpha
+RAYS, WIDTHS = 40, (0.02, 0.05, 0.1, 0.2, 0.5)  # number of rays that sample the object, alpha
+NARROWEST = 0.01  # smallest alpha of lobes that they sample
 GRAZING = 0.01  # smallest cosine of their viewing angle
 LATTICE = 0.7548776662466927, 0.5698402909980532  # steps of Roberts' R2 sequence
 INSIDE = 1e-6  # distance of its points from edges, where normals are NaN
@@ -69,11 +69,13 @@ class NearLobes:
         directions = up, dr.normalize(up + mirror), mirror
         parts = [self.near.at(surface.lane, local) for local in directions]
         some, result = sum(of_channel[0] for of_channel in self.near.moments) > 0, []
-        sampled = self.near.shown and self._sample(surface, direction, some)
+        sampled = None
+        if self.near.shown is not None:
+            sampled = self._sample(surface, direction, some)
         for level, alpha in enumerate(self.alpha.tolist()):
             *color, hidden = self._averaged(level, parts)
             part, own = hidden, [mi.Float(0)] * 3
-            if sampled:
+            if sampled is not None:
                 *own, part = sampled[level]
             elif free is not None:
                 met = dr.select(free, mi.Float(0), 1)
@@ -91,35 +93,41 @@ class NearLobes:
         Rays follow visible GGX normals of all widths in turn. Each lobe weights all rays by the
         ratio of its density to their mean one (balance heuristic [Veach and Guibas 1995]).
         """
-        scene, frame = self.near.shown, mi.Frame3f(surface.normal)
-        shape, ggx = scene.shapes()[0], partial(mi.MicrofacetDistribution, mi.MicrofacetType.GGX)
+        assert self.near.shown is not None
+        shown, frame = self.near.shown, mi.Frame3f(surface.normal)
         widths, lobe = np.unique(np.maximum(self.alpha, NARROWEST), return_inverse=True)
-        table = to_drjit(mi.Float, widths)
+        table = to_drjit(mi.Float, np.array(WIDTHS))
         origin = surface.position + surface.offset * surface.geometric_normal
         local = mi.Vector3f(frame.to_local(direction))
         local.z = dr.maximum(local.z, GRAZING)
+        lobes = [(width, smith_g1(local.z, width)) for width in widths.tolist()]
+        sampled = [(width, smith_g1(local.z, width)) for width in WIDTHS]
         bits = (dr.reinterpret_array(mi.UInt32, x) for x in (direction.x, direction.y))
         turns = [mi.Float(number) * 2**-32 for number in mi.sample_tea_32(*bits)]
 
         def add(ray: Any, *sums: Any) -> tuple[Any, ...]:
             point = [turn + mi.Float(ray) * step for turn, step in zip(turns, LATTICE, strict=True)]
             point = [dr.clip(x - dr.floor(x), INSIDE, 1 - INSIDE) for x in point]
-            own = ggx(dr.gather(mi.Float, table, ray % len(widths)))
+            width = dr.gather(mi.Float, table, ray % len(WIDTHS))
+            own = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, width)
             normal = own.sample(local, mi.Point2f(*point))[0]
             toward = mi.reflect(local, normal)
             world = frame.to_world(toward)
-            up = active & (toward.z > 0) & (dr.dot(surface.geometric_normal, world) > 0)
-            hit = scene.ray_intersect(mi.Ray3f(origin, world), mi.RayFlags.UV, False, up)
-            color = shape.emitter().eval(hit, hit.is_valid() & (hit.shape == mi.ShapePtr(shape)))
-            other = dr.select(hit.is_valid() & (dr.max(color) <= 0), mi.Float(1), 0)
-            lobes = [ggx(dr.opaque(mi.Float, width)) for width in widths.tolist()]
-            above = dr.select(toward.z > 0, dr.rcp(sum(x.pdf(local, normal) for x in lobes)), 0)
-            weights = [x.pdf(local, normal) * x.smith_g1(toward, normal) * above for x in lobes]
+            up = (toward.z > 0) & (dr.dot(surface.geometric_normal, world) > 0)
+            path = mi.Ray3f(origin, world)
+            met = shown.scene.ray_intersect_preliminary(path, False, up)
+            hits, itself = up & met.is_valid(), met.shape == mi.ShapePtr(shown.scene.shapes()[0])
+            color = shown.radiance(path, met, hits & itself)
+            other = dr.select(hits & ~itself, mi.Float(1), 0)
+            incident = dr.maximum(toward.z, GRAZING)
+            density = sum(ggx(normal.z, a) * masking for a, masking in sampled)
+            scale = dr.select(toward.z > 0, dr.rcp(density), 0)
+            weights = [ggx(normal.z, a) * g * smith_g1(incident, a) * scale for a, g in lobes]
             added = [weight * value for weight in weights for value in (1, *color, other)]
             return ray + 1, *(old + new for old, new in zip(sums, added, strict=True))
 
         zero = dr.zeros(mi.Float, surface.count)
-        rays = dr.opaque(mi.UInt32, len(widths) * -(-FEWEST // len(widths)))
+        rays = dr.select(active, dr.opaque(mi.UInt32, RAYS), 0)
         sums = fold(0, rays, add, *[zero] * (5 * len(widths)))
         return [[x / dr.maximum(sums[5 * k], FAINT) for x in sums[5 * k + 1 : 5 * k + 5]]
                 for k in lobe.tolist()]  # fmt: skip

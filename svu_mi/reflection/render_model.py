@@ -12,18 +12,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.band_limited import Lighting
 from svu_mi.light.prefiltered import LightStack, stack_levels
 from svu_mi.presets import AngularPreset
-from svu_mi.reflection.lobes import (
-    ALBEDO_NODES,
-    dielectric_albedo,
-    dominance,
-    split_sum,
-    view_albedo,
-)
+from svu_mi.reflection.albedo_table import AlbedoTable
+from svu_mi.reflection.lobes import dominance
 from svu_mi.reflection.mix_columns import Parts, combine_parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
@@ -37,13 +31,12 @@ class PrefilteredModel:
 
     Attributes:
         light: light prefiltered at R roughness levels, uniform on [0, 1].
-        albedo: (R * ALBEDO_NODES * 4,) Float: A and B (split sum), D (dielectric) and 0 per node.
         narrow: True: oblique lobes are narrower; False: as in Eq. 6.
     """
 
     switches: AngularPreset
     light: LightStack
-    albedo: Any
+    albedo: AlbedoTable
     narrow: bool
 
     @property
@@ -59,12 +52,8 @@ def prefiltered_model(
     lobes = NarrowLobes.of(
         lighting, alpha_from_roughness(np.linspace(0, 1, levels)), switches, channels
     )
-    table = np.zeros((levels, ALBEDO_NODES, 4))
-    if switches.fresnel == "split_sum":
-        table[..., :2], table[..., 2] = split_sum(lobes.alpha), dielectric_albedo(lobes.alpha)
     narrow = switches.lobe == "ggx" and switches.off_specular
-    albedo = to_drjit(mi.Float, table.ravel())
-    return PrefilteredModel(switches, stack_levels(lobes.levels), albedo, narrow)
+    return PrefilteredModel(switches, stack_levels(lobes.levels), lobes.albedo, narrow)
 
 
 def shade(
@@ -87,17 +76,28 @@ def shade(
     cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)
     outgoing = direction if to_moments is None else to_moments @ mi.Vector3f(direction)
     shading = [diffuse_shading(rule, each, outgoing, cosine) for each in moments]
-    alpha = alpha_from_roughness(roughness)
-    mirror = mirror_direction(normal, direction)
-    center = mirror
-    if model.switches.off_specular:
-        center = dr.normalize(dr.lerp(normal, mirror, dominance(alpha)))
-    place = dr.clip(roughness, 0, 1) * (model.light.count - 1)
-    lobe = model.light.radiance(place * _narrower(model, center, direction), center)
+    lobe, albedo = lobe_light(model, roughness, normal, direction)
     if visible is not None:
-        seen = visible(mirror, alpha)
+        seen = visible(mirror_direction(normal, direction), alpha_from_roughness(roughness))
         lobe = [seen * value for value in lobe]
-    return combine_parts(shading, roughness, _reflected(model, place, alpha, cosine), lobe)
+    return combine_parts(shading, roughness, albedo, lobe)
+
+
+def lobe_light(
+    model: PrefilteredModel, roughness: Any, normal: Any, direction: Any
+) -> tuple[list[Any], tuple[Any, Any, Any]]:
+    """Return the unoccluded light in a lobe, per channel, and the albedos (A, B, D)."""
+    cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)
+    alpha = alpha_from_roughness(roughness)
+    center = mirror_direction(normal, direction)
+    if model.switches.off_specular:
+        center = dr.normalize(dr.lerp(normal, center, dominance(alpha)))
+    place = dr.clip(roughness, 0, 1) * (model.light.count - 1)
+    light = model.light.radiance(place * _narrower(model, center, direction), center)
+    level = mi.UInt32(dr.clip(mi.Int32(dr.detach(place)), 0, model.light.count - 2))
+    here, above = (model.albedo.at(level + step, alpha, cosine) for step in (0, 1))
+    A, B, D = (dr.lerp(a, b, place - level) for a, b in zip(here, above, strict=True))
+    return light, (A, B, D)
 
 
 def _narrower(model: PrefilteredModel, center: Any, direction: Any) -> Any:
@@ -107,24 +107,3 @@ def _narrower(model: PrefilteredModel, center: Any, direction: Any) -> Any:
     # Half vector of the lobe's centre: cos^2 theta_h = (1 + center . direction) / 2.
     square = (1 + dr.dot(center, mi.Vector3f(direction))) / 2
     return dr.maximum(square, NARROWEST) ** 0.125
-
-
-def _reflected(
-    model: PrefilteredModel, place: Any, alpha: Any, cosine: Any
-) -> tuple[Any, Any, Any]:
-    """Return (A, B, D): the albedo of a metal is R0 A + B, of a dielectric D."""
-    rule = model.switches.fresnel
-    if rule == "split_sum":
-        level = dr.clip(mi.Int32(dr.detach(place)), 0, model.light.count - 2)
-        column = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
-        first = mi.UInt32(dr.detach(column))
-        rows = [_row(model, mi.UInt32(level + k) * ALBEDO_NODES + first, column - first)
-                for k in (0, 1)]  # fmt: skip
-        A, B, D, _ = dr.lerp(rows[0], rows[1], place - level)
-        return A, B, D
-    return view_albedo(rule, cosine, alpha)
-
-
-def _row(model: PrefilteredModel, index: Any, part: Any) -> Any:
-    low, high = (dr.gather(mi.Vector4f, model.albedo, index + step) for step in (0, 1))
-    return dr.lerp(low, high, part)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -16,17 +17,21 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import sphere_sensors
-from svu_mi.capture.surroundings import Appearance, surroundings
-from svu_mi.core.arrays import to_drjit
+from svu_mi.capture.surroundings import surroundings
+from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.light.band_limited import band_limited_lighting
+from svu_mi.light.environment import read_environment
 from svu_mi.light.near_light import DEGREE, trace_near_light
-from svu_mi.posterior.object_appearance import object_appearance
+from svu_mi.posterior.object_appearance import shown_object
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection import near_lobes
 from svu_mi.reflection.lobes import lobe_profile, zonal_factors
 from svu_mi.reflection.near_lobes import NearLobes
+from svu_mi.reflection.render_model import prefiltered_model
+from svu_mi.reflection.shown_object import ShownObject
 
 ANGLE = 0.7  # between the axis and the rim of the disk
 RADIANCE = np.array([1.0, 2.0, 0.5])
@@ -37,6 +42,17 @@ def emitting(shape, **changes):
     """A scene of one shape that emits ``RADIANCE``."""
     light = {"type": "area", "radiance": {"type": "rgb", "value": RADIANCE.tolist()}}
     return mi.load_dict({"type": "scene", "a": {"type": shape, "emitter": light, **changes}})
+
+
+@dataclass
+class Glowing:
+    """A scene whose first shape has the same radiance everywhere."""
+
+    scene: Any
+    color: list[float]
+
+    def radiance(self, _ray, _met, active):
+        return dr.select(active, mi.Color3f(self.color), 0)
 
 
 def texel_facing(normals):
@@ -110,10 +126,10 @@ def test_lobes_in_a_furnace_see_its_radiance():
 
 def test_rays_of_each_lobe_look_at_the_photographed_object(monkeypatch):
     """Along the normal, a disk has the part of a lobe whose half vectors are within ANGLE / 2."""
-    monkeypatch.setattr(near_lobes, "FEWEST", 64)
+    monkeypatch.setattr(near_lobes, "RAYS", 100)
     normals = np.tile([0.0, 0.0, 1.0], (2048, 1))
     scene = disk_above([0, 0, 1])
-    near = replace(traced(scene, normals, 64), shown=scene)
+    near = replace(traced(scene, normals, 64), shown=Glowing(scene, RADIANCE.tolist()))
     alpha = np.array([1e-3, 0.1, 0.3, 0.6, 1.0])
     lobes = NearLobes.of(near, 3, alpha, angular())
     surface, turns = texel_facing(normals), dr.arange(mi.Float, 2048)
@@ -151,18 +167,81 @@ def test_an_object_photographed_from_above_looks_from_below_as_it_does(tmp_path)
     sensors = sphere_sensors(ball, 8, (32, 32), lowest=0.6)
     images = render_views(scene, sensors, 64)
     capture = memory_capture(scene, images, sensors, shape=ball, mesh=ball)
-    appearance = object_appearance(observe(capture, svu.texels(ball, 32)), angular())
-    assert 0.2 < appearance.unseen.mean() < 0.6
-    np.testing.assert_allclose(appearance.reflectance, [0.5, 0.3, 0.2], rtol=0.05)
-    likeness, integrator = surroundings(capture, appearance)
+    observed = observe(capture, svu.texels(ball, 32))
+    assert 0.2 < (observed.coverage == 0).mean() < 0.6
+    _, likeness, _ = shown_object(observed, 1024)
     below = sphere_sensors(ball, 3, (12, 12))[2]
     real, found = (
-        np.array(mi.render(each, sensor=below, integrator=integrator, spp=256))
+        np.array(mi.render(each, sensor=below, integrator=mi.load_dict(PATH), spp=256))
         for each in (scene, likeness)
     )
     shown = np.array(real[..., 0]) < 1.5
     assert real[shown].min() < 0.05 < 0.2 < real[shown].max()
     np.testing.assert_allclose(found[shown], real[shown], atol=0.05)
+
+
+GOLD = [0.9, 0.6, 0.3]
+
+
+def golden(roughness):
+    """Value of a single texel of a metal that has no diffuse radiance."""
+    return mi.Float([0, 0, 0, roughness, *GOLD, 1])
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.5, 0.9])
+def test_a_shown_object_looks_as_path_traced(tmp_path, roughness):
+    """A convex metal in direct light, seen from outside."""
+    metal = {"type": "principled", "base_color": {"type": "rgb", "value": GOLD},
+             "metallic": 1.0, "roughness": roughness}  # fmt: skip
+    mesh = {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": metal}
+    scene = mi.load_dict({"type": "scene", "light": STUDIO, "ball": mesh})
+    (ball,) = scene.shapes()
+    sensors = sphere_sensors(ball, 2, (24, 24))
+    capture = memory_capture(
+        scene, [np.ones((24, 24, 3), np.float32)] * 2, sensors, shape=ball, mesh=ball
+    )
+    light = observe(capture, svu.texels(ball, 8)).distant_light
+    black, _ = surroundings(capture, np.zeros((8, 8, 3)))
+    shown = ShownObject(black, prefiltered_model(light, angular(), 16), golden(roughness), (1, 1))
+    toward, paths = to_drjit(mi.Vector3f, fibonacci(200).T.astype(np.float32)), 4096
+    ray = mi.Ray3f(4 * toward, dr.normalize(mi.Vector3f(0.2, 0.1, -0.2) - 4 * toward))
+    met = black.ray_intersect_preliminary(ray)
+    found = shown.radiance(ray, met, met.is_valid()).numpy()
+    random = mi.load_dict({"type": "independent"})
+    random.seed(7, 200 * paths)
+    many = dr.gather(mi.Ray3f, ray, dr.repeat(dr.arange(mi.UInt32, 200), paths))
+    direct = mi.load_dict({"type": "path", "max_depth": 2})
+    color = direct.sample(scene, random, mi.RayDifferential3f(many))[0]
+    real = np.array([dr.block_sum(x, paths).numpy() / paths for x in color])
+    assert met.is_valid().numpy().all()
+    error = found / real.mean() - real / real.mean()
+    assert abs(error.mean()) < 0.02
+    assert np.sqrt((error**2).mean()) < 0.1  # the model's lobes are symmetric
+
+
+def test_mirror_rays_of_a_shown_object_meet_it():
+    """Inside a bright sphere of metal, its albedo is added, whose closed form is Mitsuba's."""
+    scene = emitting("sphere", flip_normals=True, radius=1.0)
+    sky = read_environment(mi.load_dict({"type": "constant", "radiance": 7.0}))
+    light = prefiltered_model(band_limited_lighting(sky, 9), angular(), 16)
+    shown, count = ShownObject(scene, light, golden(0.5), (1, 1)), 4096
+    toward = to_drjit(mi.Vector3f, fibonacci(count).T.astype(np.float32))
+    ray = mi.Ray3f(mi.Point3f(0, 0, 0.3), toward)
+    hit, every = scene.ray_intersect(ray), mi.Bool(True)
+    found = shown.radiance(ray, scene.ray_intersect_preliminary(ray), every).numpy()
+    metal = mi.load_dict({
+        "type": "principled", "base_color": {"type": "rgb", "value": GOLD}, "metallic": 1.0,
+        "roughness": 0.5,
+    })  # fmt: skip
+    random = mi.load_dict({"type": "independent"})
+    random.seed(7, 256 * count)
+    lane = dr.repeat(dr.arange(mi.UInt32, count), 256)
+    own = dr.gather(mi.SurfaceInteraction3f, hit, lane)
+    _, weight = metal.sample(mi.BSDFContext(), own, random.next_1d(), random.next_2d())
+    albedo = np.array([dr.block_sum(x, 256).numpy() / 256 for x in weight])
+    expected = RADIANCE[:, None] * albedo
+    np.testing.assert_allclose(found.mean(axis=1), expected.mean(axis=1), rtol=0.02)
+    assert np.abs(found / expected - 1).mean() < 0.05
 
 
 @pytest.fixture(scope="module")
@@ -211,12 +290,11 @@ def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():
     images = [np.ones((24, 24, 3), np.float32)] * 6
     capture = memory_capture(scene, images, sensors, shape=knot, mesh=knot)
     observed = observe(capture, svu.texels(knot, 16))
-    everywhere = Appearance(np.ones((16, 16, 3), np.float32), np.zeros(3))
-    near, shown = (
-        trace_near_light(*surroundings(capture, everywhere), observed.surface, 256, shown)
-        for shown in (False, True)
-    )
-    assert shown.shown is not None and not shown.values.numpy().any()  # lobes sample the knot
+    scene, _ = surroundings(capture, np.ones((16, 16, 3), np.float32))
+    direct, surface = mi.load_dict({"type": "path", "max_depth": 1}), observed.surface
+    near = trace_near_light(scene, direct, surface, 256)
+    shown = trace_near_light(scene, None, surface, 256, Glowing(scene, [1.0, 1.0, 1.0]))
+    assert not dr.width(shown.values)  # lobes sample the knot
     for both in zip(near.moments[1], shown.moments[1], strict=True):
         np.testing.assert_allclose(*(x.numpy() for x in both), atol=0.05)
     *colors, hidden = near.values.numpy().reshape(4, -1, len(observed.seen))

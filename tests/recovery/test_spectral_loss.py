@@ -24,7 +24,7 @@ from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
 from svu_mi.recovery.sh.spectral_loss import spectral_objective
-from svu_mi.reflection.lobes import dielectric_albedo, lobe_profile, split_sum
+from svu_mi.reflection.lobes import lobe_profile, split_sum
 from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.render_model import prefiltered_model, shade
@@ -82,8 +82,7 @@ def tables(lighting, name, levels=LEVELS):
     profile = lobe_profile("gaussian" if name == "gaussian" else "ggx")
     filtered = filter_light(lighting, alpha.tolist(), profile)
     grids = [np.array(texture.tensor(), np.float64) for texture in filtered.textures]
-    pair, exact = split_sum(alpha), dielectric_albedo(alpha)
-    return grids, np.concatenate([pair, exact[..., None]], axis=2)
+    return grids, split_sum(alpha)
 
 
 def moments_of(moments):
