@@ -42,8 +42,7 @@ def path_length(scene: Any) -> int:
 def surroundings(capture: Capture, radiance: np.ndarray | None) -> tuple[Any, Any]:
     """Return the scene, with the object first, and an integrator for light of other shapes.
 
-    The integrator is None if they are black. The object is black, or emits ``radiance``, (H, W, 3)
-    with row 0 at v = 0.
+    The object is black, or emits ``radiance``, (H, W, 3) with row 0 at v = 0.
     """
     props = mi.Properties()
     if radiance is not None:
@@ -52,11 +51,10 @@ def surroundings(capture: Capture, radiance: np.ndarray | None) -> tuple[Any, An
         props["emitter"] = mi.load_dict({"type": "area", "radiance": image})
     props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
     shape = make_mesh("object", arrays(capture.mesh), props)
-    scene, length = scene_around(shape, capture), path_length(capture.scene)
-    if not reflecting_shapes(capture.scene, capture.shape):
-        return scene, None
+    length = path_length(capture.scene)
     depth = DEPTH if length < 0 else min(length, DEPTH)
-    return scene, mi.load_dict({"type": "path", "max_depth": depth})
+    integrator = mi.load_dict({"type": "path", "max_depth": depth})
+    return scene_around(shape, capture), integrator
 
 
 def is_black(bsdf: Any) -> bool:

@@ -115,7 +115,7 @@ class Guidance:
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
         proposed = Candidates.of([proposal.sensor for proposal in self.proposals])
         everywhere = replace(self._inputs, candidates=proposed, texels=np.arange(self.texels.count))
-        seen = everywhere.seen_by_candidates()  # other texels gain nothing
+        seen = everywhere.trace()  # other texels gain nothing
         shown = np.flatnonzero(seen.any(axis=0))
         first, block = self._blocks(shown)
         if shown.size:

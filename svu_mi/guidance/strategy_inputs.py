@@ -53,14 +53,10 @@ class StrategyInputs:
         """Visibility of texels in views, (V, t) bool."""
         if TABLE[self.options.strategy].needs_forecast:
             return self.forecast.seen
-        return self._sees((self.observed.views, self.observed.visibility))
+        return self.trace((self.observed.views, self.observed.visibility))
 
-    def seen_by_candidates(self) -> np.ndarray:
-        """Return the visibility of texels in candidates, (C, t) bool, without a forecast."""
-        return self._sees(None)
-
-    def _sees(self, photographed: tuple[Views, Visibility] | None) -> np.ndarray:
-        """Trace visibility in ``photographed`` views (if any), then in the candidates."""
+    def trace(self, photographed: tuple[Views, Visibility] | None = None) -> np.ndarray:
+        """Trace the visibility of texels in ``photographed`` views, then candidates, bool."""
         surface = TexelLanes.of(self.observed.texels, numbers(self.texels))
         visible = cosines(surface, photographed, self._packed)
         return np.asarray(visible.numpy() > 0).reshape(-1, len(self.texels))

@@ -7,6 +7,7 @@ faces it; 0 where it is hidden.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -83,11 +84,11 @@ def trace_lamps(scene: Any, lamps: Sequence[Any], surface: TexelLanes, *, occlud
     sums = [dr.zeros(mi.Float, count) for _ in range(3 * MOMENTS)]
     first = 0
     for lamp, side in zip(lamps, sides, strict=True):
-        cells = _LampSampler(scene, lamp, surface, side, occluded)
+        sample = partial(_sampled, scene, lamp, surface, side, occluded)
         start = dr.opaque(mi.UInt32, first)
 
-        def add(cell: Any, *sums: Any, cells: _LampSampler = cells, start: Any = start) -> Any:
-            direction, radius, light = cells.sample(cell)
+        def add(cell: Any, *sums: Any, sample: Any = sample, start: Any = start) -> Any:
+            direction, radius, light = sample(cell)
             place = (start + cell) * lanes + surface.lane
             dr.scatter(toward, mi.Vector4f(*direction, radius), place)
             dr.scatter(flux, mi.Vector4f(*light, dr.mean(light)), place)
@@ -113,33 +114,25 @@ def _sides(lamp: Any, surface: TexelLanes) -> int:
     return int(np.clip(np.ceil(2 * radius / (APART * (distance + 1e-9))), FEWEST, MOST))
 
 
-@dataclass(frozen=True)
-class _LampSampler:
-    """Cells of one lamp."""
-
-    scene: Any
-    lamp: Any
-    surface: TexelLanes
-    side: int
-    occluded: bool
-
-    def sample(self, cell: Any) -> tuple[Any, Any, Any]:
-        """Return direction, radius and irradiance (Color3f) of a cell."""
-        surface, side = self.surface, dr.opaque(mi.UInt32, self.side)
-        step = dr.rcp(mi.Float(side))
-        u = (mi.Float(cell % side) + 0.5) * step
-        v = (mi.Float(cell // side) + 0.5) * step
-        point = dr.zeros(mi.SurfaceInteraction3f, surface.count)
-        point.p = surface.position
-        found, light = self.lamp.sample_direction(point, mi.Point2f(u, v), mi.Bool(True))
-        direction = mi.Vector3f(found.d)
-        free = dr.dot(surface.normal, direction) > 0
-        free &= dr.dot(surface.geometric_normal, direction) > 0
-        if self.occluded:
-            origin = surface.position + surface.offset * surface.geometric_normal
-            ray = mi.Ray3f(origin, direction, found.dist * (1 - END), 0.0, [])
-            free &= ~self.scene.ray_test(ray, coherent=True, active=free)
-        part = step * step
-        solid = dr.select(found.delta, 0, part * dr.rcp(dr.maximum(found.pdf, 1e-12)))
-        radius = dr.minimum(dr.sqrt(solid / np.pi), np.pi / 2)
-        return direction, radius, dr.select(free, light * part, 0)
+def _sampled(
+    scene: Any, lamp: Any, surface: TexelLanes, side: int, occluded: bool, cell: Any
+) -> tuple[Any, Any, Any]:
+    """Return direction, radius and irradiance (Color3f) of a cell of a lamp."""
+    sides = dr.opaque(mi.UInt32, side)
+    step = dr.rcp(mi.Float(sides))
+    u = (mi.Float(cell % sides) + 0.5) * step
+    v = (mi.Float(cell // sides) + 0.5) * step
+    point = dr.zeros(mi.SurfaceInteraction3f, surface.count)
+    point.p = surface.position
+    found, light = lamp.sample_direction(point, mi.Point2f(u, v), mi.Bool(True))
+    direction = mi.Vector3f(found.d)
+    free = dr.dot(surface.normal, direction) > 0
+    free &= dr.dot(surface.geometric_normal, direction) > 0
+    if occluded:
+        origin = surface.position + surface.offset * surface.geometric_normal
+        ray = mi.Ray3f(origin, direction, found.dist * (1 - END), 0.0, [])
+        free &= ~scene.ray_test(ray, coherent=True, active=free)
+    part = step * step
+    solid = dr.select(found.delta, 0, part * dr.rcp(dr.maximum(found.pdf, 1e-12)))
+    radius = dr.minimum(dr.sqrt(solid / np.pi), np.pi / 2)
+    return direction, radius, dr.select(free, light * part, 0)

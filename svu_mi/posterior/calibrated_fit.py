@@ -31,6 +31,7 @@ from svu_mi.statistics.cholesky_factors import Factors
 from svu_mi.statistics.statistics import Statistics
 
 FEWEST = 4  # minimum number of roughness levels; the spline needs four
+SMALL = 0.05  # density of base colour below which energies need a new reference
 
 
 class CalibratedFit(NamedTuple):
@@ -105,7 +106,7 @@ def fit(
         problem, scale=to_drjit(mi.Float, np.sqrt(energy_scale) / scale),
         min_energy=to_drjit(mi.Float, energy_scale * rest),
     )  # fmt: skip
-    if problem.has_small_prior:  # at the best node, perhaps
+    if problem.least_color_prior < SMALL:  # at the best node, perhaps
         above = kernel.min_energy(problem, excess=True)
         problem = replace(problem, min_energy=problem.min_energy + above)
         dr.eval(problem.min_energy)

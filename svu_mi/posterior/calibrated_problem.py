@@ -11,11 +11,9 @@ import numpy as np
 from svu_mi.core.arrays import to_drjit
 from svu_mi.parameters import MIXED
 from svu_mi.posterior.quadrature import ProductAxis, QuadratureAxis
-from svu_mi.posterior.truncated_normal import FULL_SUPPORT
 from svu_mi.reflection.roughness_levels import spline_weights
 from svu_mi.statistics.cholesky_factors import Factors
 
-SMALL = 0.05  # density of base colour below which energies need a new reference
 NEVER = 1e30  # stands for -log 0
 
 
@@ -67,14 +65,9 @@ class CalibratedProblem:
         return self.copies * self.factors.channels * float(np.log(max(most, 1.0)))
 
     @cached_property
-    def has_small_prior(self) -> bool:
-        """True if the colour prior changes energies by more than some nats."""
-        return self.color_prior is not None and float(dr.min(self.color_prior)[0]) < SMALL
-
-    @cached_property
-    def has_full_support(self) -> bool:
-        """True if the colour prior exceeds ``FULL_SUPPORT`` everywhere."""
-        return self.color_prior is not None and float(dr.min(self.color_prior)[0]) > FULL_SUPPORT
+    def least_color_prior(self) -> float:
+        """Smallest density of base colour."""
+        return 1.0 if self.color_prior is None else float(dr.min(self.color_prior)[0])
 
     def subset(self, chosen: np.ndarray) -> "CalibratedProblem":
         """Return the problem of the lanes ``chosen``, in [0, S)."""

@@ -80,7 +80,8 @@ def _test_by_folds(inputs: EstimatorInputs, switches: AngularPreset) -> FoldTest
         # A side that a few photographs show is not predicted by the others.
         if len(cameras) < ENOUGH:
             return FoldTest(spread)
-        alone = parts.without_clipped()  # lower bounds have no residual
+        # Lower bounds have no residual.
+        alone = replace(parts, visibility=replace(parts.visibility, clipped=None))
         model = alone.model(
             gathered_levels(inputs, switches), switches, plan.light_channels, np.arange(len(texels))
         )

@@ -15,7 +15,7 @@ import numpy as np
 from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.core.local_memory import filled, load
 from svu_mi.posterior.calibrated_problem import CalibratedProblem
-from svu_mi.posterior.truncated_normal import ChannelLikelihood, ColorIntegrals
+from svu_mi.posterior.truncated_normal import FULL_SUPPORT, ChannelLikelihood, ColorIntegrals
 from svu_mi.reflection.principled import Mixture, mixture
 from svu_mi.reflection.roughness_levels import SPLINE_LEVELS
 from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
@@ -187,7 +187,7 @@ class NodeIntegrator:
     def _colors(self, row: Any, column: Any, parts: list[Any]) -> list[ColorIntegrals]:
         """Return the colour integrals of a node."""
         density = self._color_prior(row, column)
-        certain = density is None or self.problem.has_full_support
+        certain = density is None or self.problem.least_color_prior > FULL_SUPPORT
         return [ChannelLikelihood(*one).integrate(self.edges.tolist(), g, certain)
                 for one, g in zip(parts, density or len(parts) * [[]], strict=True)]  # fmt: skip
 

@@ -37,20 +37,25 @@ def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, An
     chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
     part = observed.subset(chosen)
     model = part.model(roughness_levels(switches.levels), switches, 3)
-    materials = _estimated(part, model)
-    roughness, metallic, color = np.split(materials, [1, 2], axis=1)
+    roughness, metallic, color = np.split(_estimated(part, model), [1, 2], axis=1)
     near, lamps = part.near_light(switches), part.lamps(switches)
-    others = [light.moments for light in (near, lamps) if light is not None]
-    total, other = _irradiance(model.moments), sum(map(_irradiance, others), np.zeros(3))
-    seen_as = part.visibility.mean_color(part.views, part.surface)
-    unseen = np.isnan(seen_as)
-    expected = _matte(color, metallic, total, total)[~unseen].sum()
-    color = color * (seen_as[~unseen].sum() / max(expected, np.finfo(np.float32).tiny))
-    mean = np.where(unseen, _matte(color, metallic, total, total), seen_as)
+    lights = [model, *(light for light in (near, lamps) if light is not None)]
+    total, *others = (
+        np.stack([of_channel[0].numpy() for of_channel in light.moments], axis=1)
+        for light in lights
+    )  # irradiance
+    # The photographs have the mean brightness of each seen texel.
+    views, sums = (x.numpy()[chosen] for x in (part.visibility.coverage, part.visibility.total))
+    expected = _matte(color, metallic, total, total).mean(axis=1) * views
+    least = np.finfo(np.float32).tiny
+    color = color * (sums.sum() / max(expected.sum(), least))
+    mean = _matte(color, metallic, total, total)
+    brightness = sums / np.maximum(mean.mean(axis=1) * views, least)
+    mean *= np.where(views > 0, brightness, 1)[:, None]
     texels = observed.texels.subset(part.seen)
     scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
     # Lobes read distant light only.
-    matte = _matte(color, metallic, total, other)
+    matte = _matte(color, metallic, total, sum(others, np.zeros(3)))
     values = np.concatenate([matte, roughness, color, metallic], axis=1).astype(np.float32)
     light = prefiltered_model(observed.distant_light, switches, LEVELS)
     flat = to_drjit(mi.Float, filled_image(texels, values).ravel())
@@ -75,8 +80,3 @@ def _matte(
     """Return the radiance of matte surfaces, (S, 3), from irradiances of both components."""
     reflected = diffuse_from_principled(color, metallic) * diffuse
     return np.asarray(reflected + specular_from_principled(color, metallic) * specular) / np.pi
-
-
-def _irradiance(moments: list[list[Any]]) -> np.ndarray:
-    """Return the irradiance, (S, 3), from diffuse moments."""
-    return np.stack([of_channel[0].numpy() for of_channel in moments], axis=1)

@@ -109,10 +109,6 @@ class Observed:
             _rays={key: rays.subset(lanes) for key, rays in self._rays.items()},
         )  # fmt: skip
 
-    def without_clipped(self) -> "Observed":
-        """Return a copy that ignores saturated samples."""
-        return replace(self, visibility=replace(self.visibility, clipped=None))
-
     @cached_property
     def coverage(self) -> np.ndarray:
         """(T,) uint32, number of photographs in which each texel is visible and not saturated."""
@@ -244,8 +240,10 @@ class Observed:
         key = "near", switches.bounces
         if key not in self._rays:
             shown, scene, integrator = self._surroundings(switches)
-            rays = ray_count(len(self.seen), integrator is not None)
-            self._rays[key] = trace_near_light(scene, integrator, self.surface, rays, shown)
+            rays = ray_count(len(self.seen), self._has_reflectors)
+            self._rays[key] = trace_near_light(
+                scene, integrator if self._has_reflectors else None, self.surface, rays, shown
+            )
         near: NearLight = self._rays[key]
         return near
 

@@ -60,9 +60,8 @@ def light_shares(
     met = scene.ray_intersect_preliminary(ray, active=dr.dot(surface.geometric_normal, toward) > 0)
     for shape in reflected[1:]:  # the object is the first
         if not shape.is_emitter():
-            from_it, color = met.is_valid() & (met.shape == mi.ShapePtr(shape)), mi.Color3f(0)
-            if integrator is not None:
-                color, _, _ = integrator.sample(scene, sampler, ray, None, from_it)
+            from_it = met.is_valid() & (met.shape == mi.ShapePtr(shape))
+            color, _, _ = integrator.sample(scene, sampler, ray, None, from_it)
             total[f"shape `{shape.id()}`"] += _sum(color * dr.pi, from_it)
     if reflected:
         from_it = met.is_valid() & (met.shape == mi.ShapePtr(reflected[0]))
