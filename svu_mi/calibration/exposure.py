@@ -192,7 +192,8 @@ def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:
     """Divide samples by gains, and set the weight of outliers to 0."""
     if gains is None:
         return transport
-    samples = transport.samples.without_views(gains.odd)
+    samples = transport.samples
+    samples = replace(samples, weight=np.where(gains.odd[samples.view], 0, samples.weight))
     return replace(transport, samples=samples.divided(gains.factor))
 
 

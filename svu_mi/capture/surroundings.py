@@ -53,8 +53,7 @@ def surroundings(capture: Capture, radiance: np.ndarray | None) -> tuple[Any, An
     shape = make_mesh("object", arrays(capture.mesh), props)
     length = path_length(capture.scene)
     depth = DEPTH if length < 0 else min(length, DEPTH)
-    integrator = mi.load_dict({"type": "path", "max_depth": depth})
-    return scene_around(shape, capture), integrator
+    return scene_around(shape, capture), mi.load_dict({"type": "path", "max_depth": depth})
 
 
 def is_black(bsdf: Any) -> bool:

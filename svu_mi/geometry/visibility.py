@@ -90,6 +90,17 @@ class Visibility:
             seen |= self.clipped.test(view, surface.index)
         return sample_visible(views, surface, view, seen, dense=self.dense, clipped=True)
 
+    def mean_color(self, views: Views, surface: TexelLanes) -> np.ndarray:
+        """Return the mean radiance of each lane over its views, (S, 3); NaN where unseen."""
+
+        def add(seen: ViewSample, _: Any, color: Any, number: Any) -> tuple[Any, Any]:
+            return color + seen.radiance, number + dr.select(seen.seen, mi.Float(1), 0)
+
+        zero = dr.zeros(mi.Color3f, surface.count), dr.zeros(mi.Float, surface.count)
+        color, number = self.over_views(views, surface, add, zero)
+        with np.errstate(invalid="ignore"):
+            return color.numpy().T / number.numpy()[:, None]
+
     def needs_work(self, seen: Any) -> Any:
         """Return the lanes (Bool) to process: visible ones, or all if ``dense``."""
         return needs_work(seen, self.dense)

@@ -44,14 +44,11 @@ def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, An
         np.stack([of_channel[0].numpy() for of_channel in light.moments], axis=1)
         for light in lights
     )  # irradiance
-    # The photographs have the mean brightness of each seen texel.
-    views, sums = (x.numpy()[chosen] for x in (part.visibility.coverage, part.visibility.total))
-    expected = _matte(color, metallic, total, total).mean(axis=1) * views
-    least = np.finfo(np.float32).tiny
-    color = color * (sums.sum() / max(expected.sum(), least))
-    mean = _matte(color, metallic, total, total)
-    brightness = sums / np.maximum(mean.mean(axis=1) * views, least)
-    mean *= np.where(views > 0, brightness, 1)[:, None]
+    photographed = part.visibility.mean_color(part.views, part.surface)
+    unseen = np.isnan(photographed)
+    expected = _matte(color, metallic, total, total)[~unseen].sum()
+    color = color * (photographed[~unseen].sum() / max(expected, np.finfo(np.float32).tiny))
+    mean = np.where(unseen, _matte(color, metallic, total, total), photographed)
     texels = observed.texels.subset(part.seen)
     scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
     # Lobes read distant light only.

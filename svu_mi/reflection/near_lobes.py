@@ -69,13 +69,11 @@ class NearLobes:
         directions = up, dr.normalize(up + mirror), mirror
         parts = [self.near.at(surface.lane, local) for local in directions]
         some, result = sum(of_channel[0] for of_channel in self.near.moments) > 0, []
-        sampled = None
-        if self.near.shown is not None:
-            sampled = self._sample(surface, direction, some)
+        sampled = self.near.shown and self._sample(surface, direction, some)
         for level, alpha in enumerate(self.alpha.tolist()):
             *color, hidden = self._averaged(level, parts)
             part, own = hidden, [mi.Float(0)] * 3
-            if sampled is not None:
+            if sampled:
                 *own, part = sampled[level]
             elif free is not None:
                 met = dr.select(free, mi.Float(0), 1)
@@ -93,7 +91,6 @@ class NearLobes:
         Rays follow visible GGX normals of all widths in turn. Each lobe weights all rays by the
         ratio of its density to their mean one (balance heuristic [Veach and Guibas 1995]).
         """
-        assert self.near.shown is not None
         shown, frame = self.near.shown, mi.Frame3f(surface.normal)
         widths, lobe = np.unique(np.maximum(self.alpha, NARROWEST), return_inverse=True)
         table = to_drjit(mi.Float, np.array(WIDTHS))

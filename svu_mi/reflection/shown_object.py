@@ -43,9 +43,7 @@ class ShownObject:
         x, y = (dr.clip(mi.Int32(dr.floor(place * count)), 0, count - 1)
                 for place, count in zip(hit.uv, self.size, strict=True))  # fmt: skip
         texel = mi.UInt32(y * self.size[0] + x)
-        diffuse, paint = (
-            dr.gather(mi.Vector4f, self.values, 2 * texel + k) for k in (0, 1)
-        )
+        diffuse, paint = (dr.gather(mi.Vector4f, self.values, 2 * texel + k) for k in (0, 1))
         light, (A, B, D) = lobe_light(self.light, diffuse.w, normal, toward)
         mirror = mirror_direction(normal, toward)
         up = front & (dr.dot(hit.n, mirror) > 0)

@@ -220,7 +220,8 @@ def test_degree_0_decides_on_the_diffuse_part(channels):
     posterior = spectrum_posterior(S_L, S_B, grid, preset=switches, irradiance=E)
     p, H = np.array(posterior.probabilities), np.array(posterior.entropy())
     unit = mean_power(S_B)
-    albedo = split_sum(np.maximum(np.linspace(0, 1, 4) ** 2, 1e-3))[..., :2].sum(axis=2).mean(axis=1)
+    alpha = np.maximum(np.linspace(0, 1, 4) ** 2, 1e-3)
+    albedo = split_sum(alpha)[..., :2].sum(axis=2).mean(axis=1)
     for t in range(8):
         x = np.zeros((S_L.shape[2], 4, 3, 5))
         for c, k, i, j in itertools.product(*map(range, x.shape)):

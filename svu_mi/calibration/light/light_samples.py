@@ -109,10 +109,6 @@ class TexelSamples:
             **{name: getattr(self, name)[chosen] for name in OF_SAMPLES},
         )
 
-    def without_views(self, views: np.ndarray) -> TexelSamples:
-        """Return the samples with weight 0 in flagged views (V,)."""
-        return replace(self, weight=np.where(views[self.view], 0, self.weight))
-
     def divided(self, gains: np.ndarray) -> TexelSamples:
         """Return the samples divided by gains (V, 3) of their photographs."""
         of_sample = gains[self.view]
