@@ -1,8 +1,7 @@
 """Radiance of the object toward itself, shaded by materials estimated from the photographs.
 
 Rays that hit the object read the diffuse radiance of the nearest texel, and the light in the lobe
-around the mirror direction. Where that direction meets the object again, texels look the same from
-all sides.
+around the mirror direction. Where that meets the object again, texels look alike from all sides.
 """
 
 from dataclasses import dataclass
