@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.core.progress import Progress
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, warn
 from svu_mi.guidance.candidates import Candidates, candidates_or_default
 from svu_mi.guidance.greedy import GreedyScorer
 from svu_mi.guidance.guidance_options import GuidanceOptions, require_method, with_switches
@@ -82,6 +82,8 @@ def next_best_view(
         for step in _choose_views(scorer, greedy, inputs, count, entropy):
             steps.append(step)
             stage.update(len(steps), count)
+    if len(steps) < count:
+        warn(f"Only {len(steps)} of {count} views are proposed: there are no more candidates.")
     return Guidance(
         candidates=candidates,
         proposals=tuple(proposal for proposal, _ in steps),

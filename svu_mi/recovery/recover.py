@@ -34,7 +34,7 @@ from svu_mi.recovery.initialisation import posterior_means
 from svu_mi.recovery.path.pixel_loss import path_objective
 from svu_mi.recovery.recovery_options import Method, PathOptions, ShOptions, method_options
 from svu_mi.recovery.recovery_result import Recovery
-from svu_mi.recovery.recovery_run import LossTerm, RecoveryRun, check_choices, require_resolution
+from svu_mi.recovery.recovery_run import LossTerm, RecoveryRun, ordered, require_resolution
 from svu_mi.recovery.regularizers.global_sharing import GlobalSharing
 from svu_mi.recovery.sh.angular_l1_loss import angular_objective
 from svu_mi.recovery.sh.likelihood import Likelihood, QuadraticPrior
@@ -90,7 +90,7 @@ def recover(
     """
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
-    names = check_choices(method, sharing, parameters)
+    names = ordered(parameters)
     options, progress = method_options(method, preset, sh, path, tv), progress or Progress()
     require_resolution(capture_and_texels(source, texels)[1], start)
     observed = observations_of(source, texels, progress)

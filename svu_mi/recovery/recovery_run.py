@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import sqrt
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -219,17 +219,8 @@ def require_resolution(texels: Texels, start: Textures | None) -> None:
         start.require_resolution(texels)
 
 
-def check_choices(
-    method: str, sharing: GlobalSharing | bool, parameters: Sequence[str]
-) -> tuple[str, ...]:
-    """Validate arguments of ``recover``; return parameter names in canonical order."""
-    if method not in get_args(Method):
-        raise OptionError(f"Unknown method {method!r}; use one of {', '.join(get_args(Method))}.")
-    if not isinstance(sharing, bool | GlobalSharing):
-        raise OptionError(
-            f"recover(): sharing must be True, False or a GlobalSharing, got {sharing!r}; weights "
-            "are options (sh=, path=)."
-        )
+def ordered(parameters: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of parameters in canonical order; raise OptionError if unknown."""
     unknown = [name for name in parameters if name not in NAMES]
     if unknown or not parameters:
         raise OptionError(

@@ -655,7 +655,8 @@ class TestNextBestView:
         best = svu.next_best_view(estimate, candidates).proposals[0].candidate
         flags = np.ones(18, bool)
         flags[best] = False
-        guidance = svu.next_best_view(estimate, candidates.restricted(flags), 100)
+        with pytest.warns(svu.SvuWarning, match="of 100 views are proposed: there are no more"):
+            guidance = svu.next_best_view(estimate, candidates.restricted(flags), 100)
         assert len(guidance.proposals) == 17
         assert best not in [p.candidate for p in guidance.proposals]
         assert np.isnan(guidance.scores[best]) and best not in guidance.ranking

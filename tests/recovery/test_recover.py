@@ -342,10 +342,11 @@ def test_no_kernel_is_compiled_after_the_second_run(capture: Capture, grid: Texe
 def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
     words: dict[str, Any]
     for words, sentence in (
-        ({"preset": "best"}, "Unknown preset"), ({"method": "nerf"}, "Unknown method"),
+        ({"preset": "best"}, "Unknown preset"),
+        ({"method": "nerf"}, "method must be one of sh, path, sh\\+path"),
         ({"parameters": ["albedo"]}, "parameters must be one or more"),
         ({"parameters": []}, "parameters must be one or more"), ({"resume": True}, "resume"),
-        ({"sharing": 0.5}, "sharing must be True, False"),
+        ({"sharing": 0.5}, "sharing must be a GlobalSharing or True or False"),
     ):  # fmt: skip
         with pytest.raises(OptionError, match=sentence):
             svu.recover(capture, grid, **words)
