@@ -89,7 +89,7 @@ class ReflectedCase(CaseSubject):
             }))  # fmt: skip
         direct = mi.load_dict({"type": "path", "max_depth": 2})
         capture = replace(self.direct, scene=make_scene([direct, self.direct.shape, *lamps]))
-        return photographed(capture, repeat(capture.scene), self.photographs["spp"])
+        return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=2)
 
     def figures(self, capture: Capture, *, bounces: bool = False, known: bool = True) -> Record:
         """Return the scores of the posterior, and of radiance if the light is ``known``."""

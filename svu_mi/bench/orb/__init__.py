@@ -92,6 +92,7 @@ class OrbSizes:
 
 
 FULL = OrbSizes()
+RENDERED = OrbSizes(film=128, texels=128)  # of svu_mi's scenes, whose photographs are small
 QUICK = OrbSizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False, repeats=1))
 
 
@@ -117,7 +118,8 @@ class OrbCase:
     @property
     def sizes(self) -> OrbSizes:
         """Sizes of the benchmark."""
-        return QUICK if self.bench.quick else FULL
+        full = RENDERED if self.rendered else FULL
+        return QUICK if self.bench.quick else full
 
     @property
     def name(self) -> str:

@@ -52,10 +52,10 @@ class DatasetSizes:
     """
 
     train: int = 40
-    test: int = 6
+    test: int = 4
     film: int = 128
-    spp: int = 128
-    test_spp: int = 1024
+    spp: int = 64
+    test_spp: int = 512
     environment: int = 256
 
 
