@@ -216,9 +216,11 @@ PATH_PRESETS: dict[str, PathOptions] = {
     "polish": PathOptions(
         epochs=1.0,
         pixels_per_batch=1 << 14,
-        spp=4,
-        tv=0.5,
-        descent=DescentOptions(learning_rate=0.005, beta_2=0.99),
+        spp=16,
+        loss="l1",  # squared errors of glossy interreflection outweigh all others
+        halves=False,
+        tv=0.1,
+        descent=DescentOptions(learning_rate=0.01, beta_2=0.99),
     ),
     "paper_polish": replace(_PAPER_PATH, epochs=1.0, spp=16),
 }
