@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 PAGE = "relight.png"
 HEADING = "Relit object, with standard deviations"
-CELL = 4.2  # inches
+CELL, BAR = 4.2, 0.4  # inches, of a picture and of its colour bar
 ROWS = 6  # views on the page
 PLAIN = re.compile(r"\w[\w +-]*")  # view names that can be file names
 COLUMNS = 3
@@ -126,10 +126,10 @@ def write_relit_page(
             ("Relative to the picture", partial(
                 _scaled, values=object_views.crop(relative, window), limits=(0, WIDEST))),
         ]  # fmt: skip
-    height = CELL * len(shown) + 1.45
+    height = (CELL + BAR) * len(shown) + 1.45
     block = Block(
         panels=panels, shape=(len(shown), COLUMNS),
-        box=(0.01, 0.99, 0.5 / height, 1 - 1.25 / height), space=(0.05, 0.2), anchor="NW",
+        box=(0.01, 0.99, 0.5 / height, 1 - 1.25 / height), space=(0.05, 0.28), anchor="NW",
     )  # fmt: skip
     style.write_page(path, (CELL * COLUMNS, height), HEADING, notes, [block])
 

@@ -77,8 +77,8 @@ def fill_sentences(result: Filled) -> Iterator[str]:
         yield from _invented_sentences(result.invented, result)
     for name in result.field.names:
         yield (
-            f"{label_of(name).capitalize()}: {result.likeness[name]}, RMS error "
-            f"{result.errors[name]:.2f} in a test on seen texels."
+            f"{label_of(name).capitalize()}: RMS error {result.errors[name]:.2f} in a test on seen "
+            f"texels; weights of predictors: {result.likeness[name]}."
         )
 
 

@@ -10,7 +10,7 @@ from svu_mi.recovery.inpaint.symmetry_predictors import NEAR_PREDICTOR, PREDICTO
 from svu_mi.recovery.inpaint.texel_hierarchy import TexelGraph
 from svu_mi.recovery.uncertainty.texture_field import TextureField
 
-MEAN_WEIGHTS = {"from the border": 1e-5, "cautiously from the border": 1e-2}
+MEAN_WEIGHTS = {"from the border": 1e-5, "from the border and the mean": 1e-2}
 """By title: precision of the prior at unknown texels, whose mean is the mean of known texels,
 relative to 1 / their variance. Larger values let borders spread less far into a hole."""
 EDGE_ROUNDS = 2  # rounds with links updated from the last result, which continue edges into holes

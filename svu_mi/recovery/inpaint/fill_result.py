@@ -13,7 +13,7 @@ from svu_mi.recovery.uncertainty.texture_field import TextureField
 ImageSource = Literal["photographs", "renders"]
 Weights = Mapping[str, Mapping[str, float]]
 """Weight of each predictor, by parameter and title. Weights of a parameter sum to 1."""
-TOP_PREDICTORS = 3  # predictors in a summary
+TOP_PREDICTORS, SMALLEST_SHOWN = 3, 0.005  # predictors in a summary, and their least weight
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,8 @@ class Filled:
         summaries = {}
         for name, weights in self.weights.items():
             top = sorted(weights.items(), key=lambda item: -item[1])[:TOP_PREDICTORS]
-            summaries[name] = ", ".join(f"{title} {100 * weight:.0f} %" for title, weight in top)
+            words = [f"{title} {100 * x:.0f} %" for title, x in top if x >= SMALLEST_SHOWN]
+            summaries[name] = ", ".join(words)
         return summaries
 
     @property
