@@ -169,7 +169,7 @@ def mapped(layer: Any, inner: Element, folder: Path, file: str) -> Element:
     """Return a BSDF within a normal or bump map like ``layer``, whose bitmap is written as EXR."""
     kind, params = MAPS[layer.class_name()], mi.traverse(texture_of(layer))
     if "data" not in params or not np.allclose(params["to_uv"].matrix, np.eye(3)):
-        _warn(
+        warn(
             f"The {kind} of '{layer.id()}' is not a bitmap, or has a to_uv; it cannot be written "
             "and is missing in the new scene; add it there."
         )
@@ -235,7 +235,7 @@ def shape(source: Any, folder: Path, stem: str) -> Any:
         flipped = bool(source.has_flipped_normals())
         node = plugin("shape", kind, id=source.id(), to_world=matrix, flip_normals=flipped)
     else:
-        _warn(
+        warn(
             f"{stem}: shape '{source.id()}' ({source.class_name()}) cannot be written and is "
             "missing in the new scene; add it there, or convert it to a mesh."
         )
@@ -251,7 +251,7 @@ def lamp(emitter: Any) -> Any:
     params, kind = mi.traverse(emitter), emitter.class_name()
     tag, power = LAMPS[kind]
     if f"{power}.value" not in params or kind == "SpotLight" and "texture.value" not in params:
-        _warn(
+        warn(
             f"Emitter '{emitter.id()}' ({kind}) has a texture, cannot be written and is missing in "
             "the new scene; add it there."
         )
@@ -291,7 +291,7 @@ def _one_sided(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
         principled_too = {"base_color", "spec_tint"} <= names
         kind = "diffuse" if names == {"reflectance"} else "principled" if principled_too else None
     if kind is None:
-        _warn(
+        warn(
             f"{stem}: a material of type {bsdf.class_name()} cannot be written; it is replaced by "
             f"a diffuse one of reflectance {GREY}. Edit the written scene if that matters."
         )
@@ -314,15 +314,11 @@ def _one_sided(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
     }  # fmt: skip
     for changed, result in ((lost, "has its default value"), (turned - lost, "loses its to_uv")):
         if changed:
-            _warn(
+            warn(
                 f"{stem}: {', '.join(sorted(changed))} of this material {result}, because it "
                 "cannot be written; edit the written scene if that matters."
             )
     return node
-
-
-def _warn(sentence: str) -> None:
-    warn(sentence)
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,7 @@ from svu_mi.output import object_views, style
 from svu_mi.output.estimate_arrays import coverages, entropies, is_seen, known_values, label_of
 from svu_mi.output.html import grouped
 from svu_mi.output.interval_summary import IntervalSummary, plain_percent
-from svu_mi.output.panels import draw_photograph, draw_scaled_map, map_colors
+from svu_mi.output.panels import draw_photograph, draw_scaled_map, is_tall, map_colors
 from svu_mi.output.style import LEFT, RIGHT, RULE, Block, Panel
 from svu_mi.posterior.estimate import Estimate
 
@@ -66,8 +66,7 @@ def _share(axes: Axes, summary: IntervalSummary, name: str) -> None:
     lines = (label_of(name).capitalize(), f"known to ±{summary.tolerance:g}, {cells}")
     share = plain_percent(summary.known_part[name])
     share = share.replace("under ", "<").replace("over ", ">")
-    axes.text(0, 0.5, share, size=32, weight="bold",
-              color=style.INK, va="center")  # fmt: skip
+    axes.text(0, 0.5, share, size=32, weight="bold", color=style.INK, va="center")
     for place, text, color in zip((0.72, 0.28), lines, (style.INK, style.FAINT), strict=True):
         axes.text(0.33, place, text, size=10.5, color=color, va="center")
 
@@ -115,7 +114,7 @@ def _coverage_map(capture: Capture, estimate: Estimate, axes: Axes) -> None:
         axes, estimate, counts, label, limits=(0, max(counts.max(initial=0), 1)),
         colormap=style.VIEWS_COLORMAP, interpolation="nearest",
     )  # fmt: skip
-    bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+    bar.long_axis.set_major_locator(MaxNLocator(nbins=6, integer=True))
     _hatch(axes, estimate, legend=False)
 
 
@@ -167,7 +166,8 @@ def _hatch(axes: Axes, estimate: Estimate, legend: bool = True) -> None:
         outside = style.OUTSIDE
         key.append(Patch(facecolor=outside, edgecolor=RULE, hatch="////", label="no surface"))
     if key and legend:
-        style.legend(
-            axes, handles=key, loc="lower right", bbox_to_anchor=(1.015, 0.985), ncol=len(key),
-            handlelength=1.4, columnspacing=1.2,
-        )  # fmt: skip
+        place, corner, columns = "lower right", (1.015, 0.985), len(key)
+        if is_tall(estimate):
+            place, corner, columns = "upper left", (1.0, 1.03), 1
+        style.legend(axes, handles=key, loc=place, bbox_to_anchor=corner, ncol=columns,
+                     handlelength=1.4, columnspacing=1.2)  # fmt: skip

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from svu_mi.evaluation.ground_truth import GroundTruth
 
+TALL = 1.5  # ratio of height to width
 GUTTER = 3  # dilation of the charts in texels, to hide seams on the object
 KNOWN_WIDTH = 0.05  # bar width of a known parameter, which has a single node
 
@@ -83,13 +84,20 @@ def draw_scaled_map(
     axes: "Axes", estimate: Estimate, values: Any | None = None, label: str = "", *,
     ticks: Sequence[float] = (), **options: Any,
 ) -> "Colorbar":  # fmt: skip
-    """Draw a map (see ``draw_map`` for ``options``) with a colour bar below.
+    """Draw a map (see ``draw_map`` for ``options``) with a colour bar below, or beside a tall one.
 
     ``ticks`` are the labelled values of the bar; default: matplotlib's.
     """
-    drawn = draw_map(axes, estimate, values, **options)
-    bar: Colorbar = style.color_bar(axes, drawn, label, ticks=ticks)
+    drawn, (width, height) = draw_map(axes, estimate, values, **options), estimate.texels.resolution
+    place = (1.2, 0, 0.05 * height / width, 0.75) if is_tall(estimate) else style.BELOW
+    bar: Colorbar = style.color_bar(axes, drawn, label, place, ticks=ticks)
     return bar
+
+
+def is_tall(estimate: Estimate) -> bool:
+    """Return whether maps are so narrow that their legends have more room beside them."""
+    width, height = estimate.texels.resolution
+    return height > TALL * width
 
 
 def draw_on_object(
