@@ -56,11 +56,6 @@ def read_result(source: Source, name: str) -> ResultMaps | None:
         side.about, side.seen = "recovered textures", source.image("coverage") > 0
         side.maps |= {key: np.array(tensor) for key, tensor in source.textures.items()}
         return side
-    if not isinstance(source, str | Path):
-        raise OptionError(
-            "compare() takes captures, estimates, recoveries and folders, got a "
-            f"{type(source).__name__}."
-        )
     path = Path(source)
     restore(path)
     is_capture = path.suffix.lower() == ".xml" or (path / capture_folder.FILE).is_file()
