@@ -88,7 +88,8 @@ def draw_scaled_map(
 
     ``ticks`` are the labelled values of the bar; default: matplotlib's.
     """
-    drawn, (width, height) = draw_map(axes, estimate, values, **options), estimate.texels.resolution
+    drawn = draw_map(axes, estimate, values, **options)
+    height, width = estimate.texels.inside().shape
     place = (1.2, 0, 0.05 * height / width, 0.75) if is_tall(estimate) else style.BELOW
     bar: Colorbar = style.color_bar(axes, drawn, label, place, ticks=ticks)
     return bar
@@ -96,7 +97,7 @@ def draw_scaled_map(
 
 def is_tall(estimate: Estimate) -> bool:
     """Return whether maps are so narrow that their legends have more room beside them."""
-    width, height = estimate.texels.resolution
+    height, width = estimate.texels.inside().shape
     return height > TALL * width
 
 

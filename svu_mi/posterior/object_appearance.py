@@ -37,7 +37,7 @@ def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, An
     chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
     part = observed.subset(chosen)
     model = part.model(roughness_levels(switches.levels), switches, 3)
-    roughness, metallic, color = np.split(_estimated(part, model), [1, 2], axis=1)
+    roughness, metal, color = np.split(_estimated(part, model), [1, 2], axis=1)
     near, lamps = part.near_light(switches), part.lamps(switches)
     lights = [model, *(light for light in (near, lamps) if light is not None)]
     total, *others = (
@@ -46,14 +46,14 @@ def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, An
     )  # irradiance
     photographed = part.visibility.mean_color(part.views, part.surface)
     unseen = np.isnan(photographed)
-    expected = _matte(color, metallic, total, total)[~unseen].sum()
+    expected = _matte(color, metal, total, total)[~unseen].sum()
     color = color * (photographed[~unseen].sum() / max(expected, np.finfo(np.float32).tiny))
-    mean = np.where(unseen, _matte(color, metallic, total, total), photographed)
+    mean = np.where(unseen, _matte(color, metal, total, total), photographed)
     texels = observed.texels.subset(part.seen)
     scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
     # Lobes read distant light only.
-    matte = _matte(color, metallic, total, sum(others, np.zeros(3)))
-    values = np.concatenate([matte, roughness, color, metallic], axis=1).astype(np.float32)
+    matte = _matte(color, metal, total, sum(others, np.zeros(3)))
+    values = np.concatenate([matte, roughness, color, metal], axis=1).astype(np.float32)
     light = prefiltered_model(observed.distant_light, switches, LEVELS)
     flat = to_drjit(mi.Float, filled_image(texels, values).ravel())
     shown = ShownObject(scene, light, flat, observed.texels.resolution)
@@ -72,8 +72,8 @@ def _estimated(part: "Observed", model: ReflectionModel) -> np.ndarray:
 
 
 def _matte(
-    color: np.ndarray, metallic: np.ndarray, diffuse: np.ndarray, specular: np.ndarray
+    color: np.ndarray, metal: np.ndarray, diffuse: np.ndarray, specular: np.ndarray
 ) -> np.ndarray:
     """Return the radiance of matte surfaces, (S, 3), from irradiances of both components."""
-    reflected = diffuse_from_principled(color, metallic) * diffuse
-    return np.asarray(reflected + specular_from_principled(color, metallic) * specular) / np.pi
+    reflected = diffuse_from_principled(color, metal) * diffuse
+    return np.asarray(reflected + specular_from_principled(color, metal) * specular) / np.pi

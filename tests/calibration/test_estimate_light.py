@@ -464,7 +464,7 @@ def test_the_background_helps(outdoors):
         ({"draws": 1}, r"draws must be in \[2, 64\], got 1\.$"),
         ({"seed": -1}, r"seed must be in \[0, .*\], got -1\.$"),
         ({"background": "near"}, r"background must be one of none, distant, got 'near'\.$"),
-        ({"moves": "yes"}, r"moves must be True, False or None, got 'yes'\.$"),
+        ({"moves": "yes"}, r"moves must be True or False, got 'yes'\.$"),
         ({"depths": ()}, r"depths must be \(cells, rounds\), ascending, of 64 .*, got \(\)\.$"),
         ({"depths": ((256, 3), (64, 3))}, "depths must be "),
         ({"depths": ((63, 3),)}, r"depths must be \(cells, rounds\), ascending, of 64 "),

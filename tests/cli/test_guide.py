@@ -112,10 +112,12 @@ def test_the_poses_of_a_run_are_candidates_of_the_next(shot, planned, tmp_path, 
     assert first["gain"] == pytest.approx(gain, abs=1e-4)  # border pixels may differ
 
 
-def test_what_cannot_be_reached_is_not_proposed(shot, tmp_path, no_page):
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_what_cannot_be_reached_is_not_proposed(shot, tmp_path, no_page, capsys):
     (tmp_path / "some.json").write_text("[0, 3, 6, 9]")
     words = ("--candidates", 12, "--add", 9, "--reachable", tmp_path / "some.json")
     assert guide(shot, tmp_path / "out", *words, "--unreachable", 3, 4) == 0
+    assert "Only 3 of 9 views are proposed" in capsys.readouterr().err
     guidance = plan(tmp_path / "out")
     assert sorted(p["candidate"] for p in guidance["proposals"]) == [0, 6, 9]
     assert sum(c["reachable"] for c in guidance["candidates"]) == 3

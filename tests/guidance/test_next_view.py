@@ -838,7 +838,7 @@ class TestNextBestView:
             ({"count": 0}, "count must be at least 1"), ({"count": 2.5}, "whole number"),
             ({"texel": 3}, "unknown option 'texel'"), ({"texels": 0}, "texels must be at least 1"),
             ({"strategy": "best"}, "strategy must be one of"),
-            ({"options": {"texels": 5}}, "must be GuidanceOptions"),
+            ({"options": {"texels": 5}}, "must be a GuidanceOptions, got"),
         ):  # fmt: skip
             with pytest.raises(svu.SvuError, match=sentence):
                 svu.next_best_view(estimate, **words)

@@ -119,12 +119,14 @@ UNKNOWN = "Unknown preset 'nope'; method 'angular' has default, fast, fixed, pap
     [
         ({"resolution": 0}, f"{SIDES} 0 x 0."), ({"resolution": -1}, f"{SIDES} -1 x -1."),
         ({"resolution": 200_000}, f"{SIDES} 200000 x 200000."),
-        ({"resolution": 2.5}, f"{WHOLE} 2.5."), ({"resolution": (4, 4, 4)}, f"{WHOLE} (4, 4, 4)."),
+        ({"resolution": 2.5}, "compare(): resolution must be a whole number or a tuple, got 2.5."),
+        ({"resolution": (4, 4, 4)}, f"{WHOLE} (4, 4, 4)."),
         ({"preset": ("default",)}, f"{ONE_OR_TWO} ('default',)."),
-        ({"preset": 3}, f"{ONE_OR_TWO} 3."),
+        ({"preset": 3}, "compare(): preset must be a str or a tuple, got 3."),
         ({"preset": ("fast", None)}, f"{ONE_OR_TWO} ('fast', None)."),
         ({"preset": "nope"}, UNKNOWN), ({"preset": ("fast", "nope")}, UNKNOWN),
-        ({"tolerance": "x"}, f"{NUMBER} 'x'."), ({"tolerance": float("nan")}, f"{NUMBER} nan."),
+        ({"tolerance": "x"}, "compare(): tolerance must be a number, got 'x'."),
+        ({"tolerance": float("nan")}, f"{NUMBER} nan."),
         ({"tolerance": -1}, f"{NUMBER} -1."),
     ],
 )  # fmt: skip

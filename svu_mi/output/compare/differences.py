@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -160,11 +159,10 @@ class ComparisonPlan:
                 "compare(): preset must be the name of a preset, or two names for a and b, got "
                 f"{preset!r}.", shell="--preset takes one preset, or two for A and B."
             )  # fmt: skip
-        number = isinstance(tolerance, Real) and not isinstance(tolerance, bool)
-        if not (number and 0 <= tolerance < np.inf):
+        if not 0 <= tolerance < np.inf:
             raise OptionError(
                 f"compare(): tolerance must be a number of at least 0, got {tolerance!r}.",
-                shell=f"--tolerance must be at least 0, got {tolerance:g}." if number else None,
+                shell=f"--tolerance must be at least 0, got {tolerance:g}.",
             )
         size = None if resolution is None else size_of(resolution)
         if size is not None:
