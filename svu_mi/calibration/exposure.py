@@ -29,6 +29,7 @@ from svu_mi.core.progress import Progress
 from svu_mi.errors import CaptureError
 from svu_mi.geometry.texels import Texels
 from svu_mi.light.light_tree import cell_radiance
+from svu_mi.parameters import MIXED
 from svu_mi.posterior.estimate import Estimate, observations_of
 from svu_mi.posterior.observations import Observed
 from svu_mi.presets import AngularPreset
@@ -91,7 +92,7 @@ def estimate_gains(
             gains, _ = step_gains(gains, samples, system, system.step(), noise)
             heat = max(heat * FASTER, 1.0)
             stage.update(done + 1, ROUNDS)
-    metal = float(np.mean(posterior.mean("metallic").numpy()))
+    metal = sum(float(np.mean(posterior.mean(name).numpy())) for name in MIXED)
     return replace(gains, sd=np.hypot(_standard_deviations(system.matrix), SELF_MIRRORED * metal))
 
 
