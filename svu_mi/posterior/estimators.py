@@ -137,7 +137,8 @@ def _widened(
     apart = {name: distance_from_neighbors(np.where(shown, x, np.nan), index, texels.resolution)
              for name, x in means.items()}  # fmt: skip
     if switches.occluded and not ("base_color" in inputs.grid.known or switches.bounces):
-        missing = missing_share(observed, switches.cells, lanes.numpy(), means["base_color"])
+        cells = switches.cells or AngularPreset.cells
+        missing = missing_share(observed, cells, lanes.numpy(), means["base_color"])
     return replace(kernel, spread=inputs.test.spread, support=support, missing=missing, apart=apart)
 
 

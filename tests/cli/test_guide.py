@@ -88,6 +88,7 @@ def test_guide_writes_poses_maps_pictures_and_table(planned):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 def test_sensors_without_photograph_are_candidates(partial, tmp_path):
     assert guide(partial, tmp_path, "--candidates", "scene", "--add", 9) == 0
     guidance = plan(tmp_path)
