@@ -108,12 +108,13 @@ def _in_unit(
     light: np.ndarray, transport: Transport, switches: AngularPreset
 ) -> tuple[np.ndarray, Columns]:
     """Return the light (N, 3) in the unit of the photographs if they differ, and its columns."""
+    columns = columns_of(transport, light, switches)
     for _ in range(UNITS):
-        columns = columns_of(transport, light, switches)
         level = scale_of(transport.samples, columns, switches)
         if (np.abs(level.best) <= NINETY * level.sd).all():
             break
         light = light * np.exp(level.best)
+        columns = columns_of(transport, light, switches)
     return light, columns
 
 

@@ -91,9 +91,8 @@ def _predictor_errors(
         stage.update(done, len(masks) + 1)
         trials.append(HoldoutErrors.of(graph.coarsest, hidden, distances))
     stage.update(len(masks), len(masks) + 1)
-    rows_of = {name: field.rows(name) for name in field.names}
-    return {name: PredictorErrors(np.stack([trial.products(rows) for trial in trials]))
-            for name, rows in rows_of.items()}  # fmt: skip
+    return {name: PredictorErrors(np.stack([each.products(field.rows(name)) for each in trials]))
+            for name in field.names}  # fmt: skip
 
 
 def _fused(
@@ -101,12 +100,11 @@ def _fused(
 ) -> Filled:
     """Fuse unknown texels with weighted means of the predictors."""
     predicted = weighted_mean(graph, weights)
-    least = graph.values[:, graph.known].var(axis=1, keepdims=True)
     errors = {name: 0.0 for name in NAMES}
     for name, each in errors_of.items():
         rows, squares = TextureField.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
-        sd = np.sqrt(np.maximum(squares.max(axis=0)[:, None], least[rows]))
+        sd = np.sqrt(np.maximum(squares.max(axis=0)[:, None], graph.known_variance[rows]))
         fusion.fuse(name, ~graph.known, predicted[rows], sd)
     return Filled(fusion.fused_field(~graph.known), ~graph.known, weights, errors)
 

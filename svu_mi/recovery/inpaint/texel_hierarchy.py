@@ -129,6 +129,11 @@ class TexelGraph:
         return self.halved[0].coarsest if self.is_large else self
 
     @cached_property
+    def known_variance(self) -> np.ndarray:
+        """Variance of known values, (N, 1): lower limit for predictions."""
+        return np.asarray(self.values[:, self.known].var(axis=1, keepdims=True))
+
+    @cached_property
     def halved(self) -> tuple[TexelGraph, np.ndarray]:
         """Graph of 2 x 2 groups (all known or all unknown), and the group (T,) of each node."""
         square, own = self.square // 2, np.arange(len(self.known))

@@ -106,7 +106,6 @@ class _MultiViewInference:
             for mask in masks
         ]
         fusion, answers = Fusion(self.field, self.shown, start.field), []
-        least = graph.values[:, graph.known].var(axis=1, keepdims=True)
         rest = Task(start.field.values, graph.known, start.filled)
         used = tuple(np.flatnonzero(self.capture.used).tolist())
         for source in get_args(ImageSource):
@@ -123,7 +122,8 @@ class _MultiViewInference:
             answers.append(answer)
             for name, error in answer.errors.items():
                 rows = self.field.rows(name)
-                sd = np.sqrt(np.maximum(error**2, 0 if photographed else least[rows]))
+                least = 0 if photographed else graph.known_variance[rows]
+                sd = np.sqrt(np.maximum(error**2, least))
                 fusion.fuse(name, answer.reached, values[rows], sd)
         reached = start.filled & rest.known
         invented = ModelReport(self.model.title, self.model.licence, tuple(answers), reached)
