@@ -8,7 +8,6 @@ differ in single options, so an ablation is ``preset("paper", errors="mean")``.
 
 from dataclasses import dataclass, fields, replace
 from math import inf
-from numbers import Real
 from typing import Any, Literal, overload
 
 from svu_mi.core.validation import require, require_ranges, require_types
@@ -274,8 +273,8 @@ class AngularPreset(_Channels):
                 "parameters='specular', use noise='relative'."
             )
         share = 0.5 if self.metal_share is None else self.metal_share
-        known = isinstance(share, Real) and 0.001 <= share <= 0.999
-        require(self, known, "metal_share", "in [0.001, 0.999], or None to learn it")
+        is_share = 0.001 <= share <= 0.999
+        require(self, is_share, "metal_share", "in [0.001, 0.999], or None to learn it")
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
         require(

@@ -218,20 +218,20 @@ def test_oracle_and_posterior_agree_on_a_rendered_object(glossy):
     "method, options, sentence",
     [
         ("angular", {"grid": svu.ParameterGrid()}, "need a PrincipledGrid, got ParameterGrid"),
-        ("angular", {"grid": (8, 8, 8)}, r"need a PrincipledGrid, got \(8, 8, 8\)"),
+        ("angular", {"grid": (8, 8, 8)}, r"a ParameterGrid or a PrincipledGrid, got \(8, 8, 8\)"),
         ("angular", {"prior": np.ones(3)}, r"the prior must be \(8, 8, 8\) or \(8,\)"),
-        ("spectrum", {"grid": (8, 8)}, "The grid must be a ParameterGrid or a PrincipledGrid"),
+        ("spectrum", {"grid": (8, 8)}, "grid must be a ParameterGrid or a PrincipledGrid"),
         ("spectrum", {"prior": -np.ones(8)}, "the prior must be finite, non-negative"),
         ("spectrum", {"preset": "fixed"}, "Unknown preset 'fixed'"),
         ("angular", {"preset": "best"}, "Unknown preset 'best'"),
-        ("magic", {}, "Unknown method 'magic'"),
+        ("magic", {}, "method must be one of angular, spectrum, got 'magic'"),
     ],
 )
 def test_wrong_arguments_are_refused_before_any_work(glossy, method, options, sentence):
     capture, texels = glossy
     blind = replace(capture, scene=None, sensors=())  # any work on it would fail otherwise
     with pytest.raises((OptionError, ShapeError), match=sentence):
-        estimate(blind, texels, method, **options)
+        svu.estimate(blind, texels, method, **options)
 
 
 def test_a_grid_of_ks_without_a_spacing_resolves_dielectrics(glossy):

@@ -30,7 +30,8 @@ from svu_mi.capture.target import SceneTarget, find_target
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap_cached
 from svu_mi.core.io.provenance import require_no_result
 from svu_mi.core.memory import Size, Sizes
-from svu_mi.errors import CaptureError, OptionError, SceneError, excerpt, warn
+from svu_mi.core.validation import indices_of
+from svu_mi.errors import CaptureError, SceneError, excerpt, warn
 
 # Light beside exposures of EXIF, which have another unit.
 UNKNOWN_LEVEL = LightUncertainty(scale=(0.7, 0.7, 0.7))
@@ -42,7 +43,7 @@ def load_capture(
     path: str | Path, images: str | Path | None = None, *, shape: str | None = None,
     defines: Mapping[str, str] | None = None, unwrap: bool = False, missing: Missing = "refuse",
     light: Light = "required", trust: bool = False, detail: Detail = WHOLE,
-    memory: float | None = None, views: Iterable[int] | None = None,
+    memory: float | None = None, views: Iterable[int] | Iterable[bool] | None = None,
 ) -> Capture:  # fmt: skip
     """Load a scene and its photographs.
 
@@ -73,8 +74,8 @@ def load_capture(
             one pixel per texel. By default they are kept unchanged.
         memory: Bytes of memory for photographs; default: half of the free memory. Larger captures
             are mapped from a temporary file in TMPDIR or /var/tmp.
-        views: Indices of the photographs to read; default: all. Other views are unused, and their
-            pixels are NaN. An empty list loads only the scene and the sensors.
+        views: Indices of the photographs to read, or one flag per view; default: all. Other views
+            are unused, and their pixels are NaN. An empty list loads only scene and sensors.
 
     Raises:
         OptionError: Invalid ``missing`` or ``light``, a path of the wrong type, or an unknown view.
@@ -306,10 +307,9 @@ def map_size(light: Any) -> Size:
 
 def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[Path | None]:
     """Return the files of the requested views; None for the others."""
-    count = len(paths)
-    chosen = frozenset(range(count) if views is None else views)
-    for view in sorted(chosen - set(range(count))):
-        raise OptionError(f"load_capture(): view {view} must be in [0, {count - 1}].")
+    if views is None:
+        return list(paths)
+    chosen = set(indices_of(views, len(paths), "load_capture()", "view").tolist())
     return [path if view in chosen else None for view, path in enumerate(paths)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from svu_mi.core.io.files import refusing
 from svu_mi.core.io.output_folder import claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
-from svu_mi.core.validation import require_views
+from svu_mi.core.validation import indices_of, require_views
 from svu_mi.errors import OptionError
 from svu_mi.guidance.guidance_options import GuidanceOptions, require_method, require_prediction
 from svu_mi.guidance.strategies import TABLE
@@ -132,8 +131,10 @@ class Guide(EstimateCommand):
         """Return (count,) bool flags of the reachable candidates."""
         flags = np.ones(count, bool)
         if self.reachable is not None:
-            flags = _flags(_read_numbers(self.reachable), count, str(self.reachable))
-        flags &= ~_flags(self.unreachable, count, "--unreachable")
+            numbers = _read_numbers(self.reachable)
+            allowed = indices_of(numbers, count, str(self.reachable), "candidate")
+            flags = np.isin(np.arange(count), allowed)
+        flags[indices_of(self.unreachable, count, "--unreachable", "candidate")] = False
         if not flags.any():
             raise OptionError(
                 f"All {count} candidates are unreachable; change --reachable or --unreachable, or "
@@ -182,22 +183,6 @@ def _number(word: str) -> int | None:
         return int(word)
     except ValueError:
         return None
-
-
-def _flags(numbers: Sequence[int], count: int, label: str) -> np.ndarray:
-    """Return (count,) bool flags from indices of candidates, or from flags."""
-    if numbers and isinstance(numbers[0], bool):
-        if len(numbers) != count:
-            raise OptionError(
-                f"{label}: {len(numbers)} flags for {count} candidates; give one per candidate."
-            )
-        return np.array(numbers)
-    for number in numbers:
-        if not 0 <= number < count:
-            raise OptionError(
-                f"{label}: no candidate {number}; candidates are numbered from 0 to {count - 1}."
-            )
-    return np.isin(np.arange(count), numbers)
 
 
 def _read_numbers(path: Path) -> list[Any]:

@@ -41,14 +41,15 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     def call(*args: Any, **kwargs: Any) -> Any:
         try:
             bound = signature.bind(*args, **kwargs)
-        except TypeError:  # Python's own message names the function
-            return function(*args, **kwargs)
+        except TypeError as error:
+            known = ", ".join(signature.parameters)
+            raise OptionError(f"{function.__name__}(): {error}; it has {known}.") from None
         for name, value in bound.arguments.items():
             parameter = signature.parameters[name]
             if parameter.kind is inspect.Parameter.VAR_KEYWORD:
                 continue
             if problem := mismatch(value, parameter.annotation):
-                raise OptionError(f"{function.__name__}(): {name} {problem}")
+                raise OptionError(f"{function.__name__}(): {name}{problem}")
             if isinstance(value, list | tuple) and np.ndarray in _choices(parameter.annotation):
                 bound.arguments[name] = np.asarray(value)
         return function(*bound.args, **bound.kwargs)
@@ -58,27 +59,53 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def mismatch(value: Any, annotation: Any) -> str | None:
-    """Return the rest of a sentence if a value has another type than annotated, else None."""
+    """Return the rest of a sentence, after a name, if a value has another type than annotated."""
     choices = _choices(annotation)
-    if any(_fits(value, choice) for choice in choices):
-        return None
-    kinds = [choice for choice in choices if choice is not NoneType]
+    problems = [_item_mismatch(value, each) for each in choices if _fits(value, _bare(each))]
+    if problems:
+        return None if None in problems else problems[0]
+    kinds = [_bare(choice) for choice in choices if choice is not NoneType]
     names = [kind.__name__ for kind in kinds if isinstance(kind, type)]
+    words = list(dict.fromkeys(map(_words, kinds)))
+    expected = " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+    if bool in kinds and NoneType in choices:
+        expected = "True, False or None"
     if not names:
         expected = f"one of {', '.join(kinds)}"
-    else:
-        words = list(dict.fromkeys(map(_words, kinds)))
-        expected = " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
     remedy = next((f"; use {SOURCES[name]}" for name in names if name in SOURCES), "")
-    return f"must be {expected}, got {excerpt(repr(value), LONGEST)}{remedy}."
+    if "Path" in names and isinstance(value, Mapping):
+        remedy = "; write a scene to a file with mi.parser.write_file"
+    return f" must be {expected}, got {excerpt(repr(value), LONGEST)}{remedy}."
+
+
+def _item_mismatch(value: Any, annotation: Any) -> str | None:
+    """Return the ``mismatch`` of the first item of a dict, list or tuple that has one."""
+    kinds = get_args(annotation)
+    if not kinds or not isinstance(value, Collection):
+        return None
+    if isinstance(value, Mapping):
+        items = [(key, item, kinds[1]) for key, item in value.items()]
+    elif get_origin(annotation) is not tuple or Ellipsis in kinds:
+        items = [(place, item, kinds[0]) for place, item in enumerate(value)]
+    elif len(value) != len(kinds):
+        return f" must have {len(kinds)} values, got {excerpt(repr(value), LONGEST)}."
+    else:
+        items = [(place, *pair) for place, pair in enumerate(zip(value, kinds, strict=True))]
+    problems = ((place, mismatch(item, kind)) for place, item, kind in items)
+    return next((f"[{place!r}]{problem}" for place, problem in problems if problem), None)
 
 
 def _choices(annotation: Any) -> tuple[Any, ...]:
-    """Return the types of an annotation, without their parameters, and the words of a Literal."""
+    """Return the types of a union, and the words of a Literal."""
     origin = get_origin(annotation)
     if origin in (Union, UnionType):
         return tuple(choice for each in get_args(annotation) for choice in _choices(each))
-    return get_args(annotation) if origin is Literal else (origin or annotation,)
+    return get_args(annotation) if origin is Literal else (annotation,)
+
+
+def _bare(annotation: Any) -> Any:
+    """Return a type without its parameters."""
+    return get_origin(annotation) or annotation
 
 
 def _fits(value: Any, choice: Any) -> bool:

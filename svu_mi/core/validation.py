@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any, get_type_hints
 
+import numpy as np
+
 from svu_mi.core.checked_arguments import mismatch
 from svu_mi.core.memory import Size, address_space, free_memory
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
@@ -53,7 +55,7 @@ def require_types(options: Any) -> None:
     hints = get_type_hints(type(options))
     for name in (each.name for each in fields(options) if each.init):
         if problem := mismatch(getattr(options, name), hints[name]):
-            raise OptionError(f"{type(options).__name__}: {name} {problem}")
+            raise OptionError(f"{type(options).__name__}: {name}{problem}")
 
 
 def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:
@@ -99,6 +101,26 @@ def require_views(count: int, what: str, error: type[SvuError] = OptionError) ->
     """Raise ``error`` if there are more than ``MAX_VIEWS`` views."""
     if count > MAX_VIEWS:
         raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; use fewer.")
+
+
+def indices_of(numbers: Iterable[Any], count: int, label: str, noun: str) -> np.ndarray:
+    """Return indices below ``count``, int64, given as such or as flags, one per ``noun``.
+
+    Raises:
+        OptionError: an index is out of range, or there are fewer or more flags than ``count``.
+    """
+    given = np.array(list(numbers))
+    if given.dtype == bool and len(given) != count:
+        raise OptionError(f"{label}: {len(given)} flags for {count} {noun}s; give one per {noun}.")
+    if given.dtype == bool:
+        return np.flatnonzero(given)
+    whole = given.dtype.kind in "iu"
+    wrong = given[(given < 0) | (given >= count)] if whole else given
+    if len(wrong):
+        raise OptionError(
+            f"{label}: no {noun} {wrong[0]}; {noun}s are numbered from 0 to {count - 1}."
+        )
+    return given.astype(np.int64)
 
 
 def require_spp(spp: int, option: str = "spp") -> None:

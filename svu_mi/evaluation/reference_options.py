@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from svu_mi.core.validation import require, require_ranges, require_types
+from svu_mi.core.validation import indices_of, require, require_ranges, require_types
 from svu_mi.errors import OptionError, excerpt
 from svu_mi.evaluation.squared_errors import CORNERS
 from svu_mi.posterior.grid import PrincipledGrid
@@ -68,18 +68,11 @@ class ReferenceOptions:
 def check_subset(subset: Any, count: int) -> int | np.ndarray:
     """Check ``subset``; return it as a number of texels, or as (n,) int64 texel indices."""
     given = np.asarray(subset)
-    whole = given.size > 0 and np.issubdtype(given.dtype, np.integer)
-    if not whole or given.ndim > 1 or (given.ndim == 0 and given < 1):
+    if given.ndim == 0 and given.dtype.kind in "iu" and given >= 1:
+        return int(given)
+    if given.ndim != 1 or not len(given):
         raise OptionError(
             "reference_posterior(): subset must be a number of texels (at least 1) or a list of "
             f"texel indices, got {excerpt(repr(subset))}."
         )
-    if given.ndim == 0:
-        return int(given)
-    wrong = given[(given < 0) | (given >= count)]
-    if wrong.size:
-        raise OptionError(
-            f"reference_posterior(): subset must contain texel indices from 0 to {count - 1}, got "
-            f"{wrong[0]}."
-        )
-    return given.astype(np.int64)
+    return indices_of(given, count, "reference_posterior(): subset", "texel")

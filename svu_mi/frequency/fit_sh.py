@@ -9,7 +9,6 @@ view (``solve_dual``; a quarter of the time for 24 of 60 views). Both use double
 
 from dataclasses import dataclass
 from functools import partial
-from numbers import Real
 from typing import Any, Literal
 
 import drjit as dr
@@ -156,8 +155,9 @@ def fit_sh(
         >>> svu.fit_sh(directions, np.ones((2, 20)), np.ones((2, 20, 3)), lmax=6).shape
         (2, 49, 3)
     """
-    lmax = harmonics.check_degree(lmax)
-    if not (isinstance(regularizer, Real) and 1e-12 <= regularizer <= 1e12):
+    if not 0 <= lmax <= harmonics.MAX_DEGREE:
+        raise OptionError(f"fit_sh(): lmax must be in [0, {harmonics.MAX_DEGREE}], got {lmax}.")
+    if not 1e-12 <= regularizer <= 1e12:
         raise OptionError(
             f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."
         )

@@ -13,7 +13,6 @@ S is a sum, not a mean: its expectation for white noise of unit variance is 2l +
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from numbers import Integral
 from typing import Any
 
 import drjit as dr
@@ -21,7 +20,7 @@ import mitsuba as mi
 from numpy.polynomial import legendre
 
 from svu_mi.core.arrays import tensor
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import ShapeError
 
 MAX_DEGREE = 9
 """Highest degree of ``dr.sh_eval``."""
@@ -36,14 +35,6 @@ def degree_of(count: int) -> int:
             f"full sets have {max(root, 1) ** 2} and {(root + 1) ** 2}."
         )
     return root - 1
-
-
-def check_degree(degree: Any) -> int:
-    """Return ``degree`` as an int; raise an error outside [0, 9]."""
-    whole = isinstance(degree, Integral) and not isinstance(degree, bool)
-    if not whole or not 0 <= degree <= MAX_DEGREE:
-        raise OptionError(f"fit_sh(): the degree must be a whole number in [0, 9], got {degree!r}.")
-    return int(degree)
 
 
 def ridge(degree: int, penalize_constant: bool) -> list[float]:

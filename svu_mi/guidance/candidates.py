@@ -14,10 +14,11 @@ from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene
 from svu_mi.capture.sensors import sensors_like
 from svu_mi.core.io.files import read_json
+from svu_mi.core.validation import indices_of
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Candidates:
     """Candidate views for the next photograph.
 
@@ -56,6 +57,9 @@ class Candidates:
         for sensor, name in zip(self.sensors, self.names, strict=True):
             check_sensor(sensor, f"Candidate '{name}'")
 
+    def __repr__(self) -> str:
+        return f"<Candidates: {self.reachable.sum()} of {self.count} reachable>"
+
     @property
     def count(self) -> int:
         """Number of candidates C."""
@@ -86,9 +90,10 @@ class Candidates:
 
     @staticmethod
     def at(capture: Capture, views: Sequence[int]) -> "Candidates":
-        """Return the sensors of a capture with the indices ``views``; all are reachable."""
-        sensors = tuple(capture.sensors[view] for view in views)
-        names = tuple(capture.names[view] for view in views)
+        """Return the sensors of a capture with indices (or flags) ``views``; all are reachable."""
+        chosen = indices_of(views, capture.count, "Candidates.at()", "view")
+        sensors = tuple(capture.sensors[view] for view in chosen)
+        names = tuple(capture.names[view] for view in chosen)
         return Candidates(sensors, names, np.ones(len(sensors), bool))
 
     @staticmethod

@@ -70,8 +70,6 @@ class GuidanceOptions:
 def with_switches(options: GuidanceOptions | None, switches: dict[str, Any]) -> GuidanceOptions:
     """Return ``options`` (None: the defaults) with fields replaced by ``switches``."""
     options = GuidanceOptions() if options is None else options
-    if not isinstance(options, GuidanceOptions):
-        raise OptionError(f"next_best_view(): options must be GuidanceOptions, got {options!r}.")
     known = asdict(options)
     for name in switches:
         if name not in known:

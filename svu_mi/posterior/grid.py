@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from numbers import Integral, Real
 from typing import Protocol
 
 import numpy as np
 
+from svu_mi.core.validation import require_ranges, require_types
 from svu_mi.errors import OptionError
 from svu_mi.parameters import AXES, MIXED
 from svu_mi.presets import GridSpacing, Preset
@@ -85,10 +85,6 @@ class ParameterGrid(_UnitGrid):
 
     def __post_init__(self) -> None:
         _require_valid(self, ("roughness", "specular"))
-        if self.spacing not in (None, "uniform", "dielectric"):
-            raise OptionError(
-                f"ParameterGrid: spacing must be uniform or dielectric, got {self.spacing!r}."
-            )
 
     def resolved(self, preset: Preset) -> "ParameterGrid":
         """Return the grid; a ``spacing`` of None is replaced by the preset's."""
@@ -150,15 +146,12 @@ class PrincipledGrid(_UnitGrid):
 def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...]) -> None:
     kind = type(grid).__name__
     object.__setattr__(grid, "known", dict(grid.known))  # a copy: the caller may change its own
-    for name in names:
-        count = getattr(grid, name)
-        if not (isinstance(count, Integral) and 2 <= int(count) <= MAX_NODES):
-            raise OptionError(f"{kind}: {name} needs 2 to {MAX_NODES} nodes, got {count!r}.")
+    require_types(grid)
+    require_ranges(grid, **dict.fromkeys(names, (2, MAX_NODES)))
     for name, value in grid.known.items():
         if name not in names:
             raise OptionError(f"{kind}: known {name!r} is not a parameter; use {', '.join(names)}.")
-        number = isinstance(value, Real) and not isinstance(value, bool)
-        if not (number and 0 <= float(value) <= 1):
+        if not 0 <= value <= 1:
             raise OptionError(f"{kind}: known {name} must be in [0, 1], got {value!r}.")
     if len(grid.known) == len(names):
         raise OptionError(f"{kind}: {', '.join(names)} are all known; leave at least one unknown.")

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import tensor, to_drjit
+from svu_mi.core.validation import indices_of
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
@@ -19,7 +20,7 @@ MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
 K = TypeVar("K", bound=Kernel)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Posterior(Generic[K]):
     """Posterior p(psi | B, L) of each of T texels (Eq. 3, 4).
 
@@ -37,6 +38,9 @@ class Posterior(Generic[K]):
 
     kernel: K
     observed: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"<Posterior of {self.count} texels, {self.observed.sum()} seen: {self.grid}>"
 
     @property
     def grid(self) -> Grid:
@@ -116,7 +120,7 @@ class Posterior(Generic[K]):
         """Return the bin probabilities of some texels.
 
         Args:
-            chosen: (t,) indices of texels.
+            chosen: (t,) indices of texels, or (T,) flags.
 
         Returns:
             TensorXf ``(t, *grid)`` or ``(t, *grid, 3)``, as ``probabilities``.
@@ -144,7 +148,7 @@ class Posterior(Generic[K]):
 
         Args:
             name: name of the parameter.
-            chosen: (t,) indices of texels; default: all.
+            chosen: (t,) indices of texels, or (T,) flags; default: all.
 
         Returns:
             (t, nodes); (t, nodes, 3) for base colour (or Ks) if it has 3 channels.
@@ -179,7 +183,7 @@ class Posterior(Generic[K]):
         the one nearest to the middle of the grid is used.
 
         Args:
-            chosen: (t,) indices of texels; default: all.
+            chosen: (t,) indices of texels, or (T,) flags; default: all.
 
         Raises:
             OptionError: an index outside [0, T).
@@ -244,7 +248,7 @@ class Posterior(Generic[K]):
         Args:
             name: name of the parameter.
             level: probability, in (0, 1).
-            chosen: (t,) indices of texels; default: all.
+            chosen: (t,) indices of texels, or (T,) flags; default: all.
 
         Returns:
             Lower and upper ends: TensorXf (t,), or (t, 3) per channel.
@@ -355,15 +359,7 @@ class Posterior(Generic[K]):
         return _tensor(np.maximum(divergence, 0) / self.channels)
 
     def _indices(self, chosen: Any) -> np.ndarray:
-        given = np.array(chosen).reshape(-1)
-        if len(given) and given.dtype.kind not in "iu":
-            raise OptionError(f"Posterior: texels are whole numbers, got {chosen!r}.")
-        if len(given) and not (given.min() >= 0 and given.max() < self.count):
-            raise OptionError(
-                f"Posterior: texels are numbered 0 to {self.count - 1}, got "
-                f"{given.min()} to {given.max()}."
-            )
-        return given.astype(np.int64)
+        return indices_of(np.ravel(chosen), self.count, "Posterior", "texel")
 
     def _check_parameter(self, name: str) -> None:
         if name not in list(self.axes):

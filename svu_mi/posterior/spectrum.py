@@ -191,8 +191,6 @@ def spectrum_grid(
         grid = PrincipledGrid() if irradiance and switches.principled else ParameterGrid()
     if isinstance(grid, ParameterGrid):
         return grid.resolved(switches)
-    if not isinstance(grid, PrincipledGrid):
-        raise OptionError(f"The grid must be a ParameterGrid or a PrincipledGrid, got {grid!r}.")
     if not irradiance:
         raise OptionError(
             "spectrum_posterior(): a PrincipledGrid needs the irradiance; pass it, or use a "

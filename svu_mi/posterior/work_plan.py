@@ -7,12 +7,11 @@ leak power into them (notebooks/design/reflection.md).
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from svu_mi.capture.replace_material import constant_parameters
-from svu_mi.errors import OptionError
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.row_entropy import IMPOSSIBLE
@@ -78,17 +77,14 @@ def make_plan(
 
 
 def with_known(
-    grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | str | None, shape: Any
-) -> Any:
+    grid: ParameterGrid | PrincipledGrid, known: Mapping[str, float] | Literal["scene"] | None,
+    shape: Any,
+) -> Any:  # fmt: skip
     """Return the grid with known values; ``"scene"`` selects the material's constants."""
     constants = constant_parameters(shape)
     constants = {name: value for name, value in constants.items() if name in grid.axes}
-    if isinstance(known, str):
-        if known != "scene":
-            raise OptionError(f"known must map names to values, or be 'scene', got {known!r}.")
+    if known == "scene":
         known = constants
-    elif known is not None and not isinstance(known, Mapping):
-        raise OptionError(f"known must map names to values, or be 'scene', got {known!r}.")
     elif constants and not known:
         log.info(
             "The scene's material has a constant %s; unless it is a placeholder, use known='scene' "

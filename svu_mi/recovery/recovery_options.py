@@ -173,11 +173,11 @@ class PathOptions:
         require_types(self)
         require(self, 0 < self.epochs < inf, "epochs", "positive")
         size = self.pixels_per_batch
-        require(self, size is None or (isinstance(size, int) and 1 <= size < 2**32),
+        require(self, size is None or 1 <= size < 2**32,
                 "pixels_per_batch", "at least 1, or None")  # fmt: skip
         require(self, 1 <= self.spp < 2**16, "spp", "in [1, 65535]")
         depth = self.max_depth
-        require(self, depth is None or (isinstance(depth, int) and (depth >= 2 or depth == -1)),
+        require(self, depth is None or depth >= 2 or depth == -1,
                 "max_depth", "at least 2, -1 for paths of any length, or None")  # fmt: skip
         _require_weights(self)
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")

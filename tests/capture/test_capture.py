@@ -894,6 +894,19 @@ def test_views_that_are_not_read_are_not_used(shot):
     assert not any(load_capture(shot, views=()).used)
 
 
+def test_views_are_chosen_by_flags(shot):
+    """Flags are not taken for the indices 0 and 1, which they equal in Python."""
+    flags = np.arange(8) % 3 == 2
+    capture = load_capture(shot, views=flags)
+    assert capture.used == tuple(flags)
+    assert svu.Candidates.at(capture, flags.tolist()).names == capture.names[2::3]
+    for views, problem in (([True] * 7, "7 flags for 8 views"), ([8], "no view 8"), ([-1], "no v")):
+        with pytest.raises(OptionError, match=f"load_capture\\(\\): {problem}"):
+            load_capture(shot, views=views)
+        with pytest.raises(OptionError, match=f"Candidates.at\\(\\): {problem}"):
+            svu.Candidates.at(capture, views)
+
+
 def test_one_photograph_as_two_files_is_refused(scene):
     folder = scene.parent / "images"
     renamed(folder, "DSC{}".format)

@@ -265,6 +265,10 @@ def test_arguments_of_wrong_type_are_refused(vase):
          "must be a Light, got 'b.exr'; use svu.Light(path=path)."),
         (lambda: svu.recover(vase.estimate, parameters="roughness"),
          "recover(): parameters must be a list, got 'roughness'."),
+        (lambda: svu.render_capture("a.xml", spq=3), "render_capture(): got an unexpected keyword "
+         f"argument 'spq'; it has {', '.join(inspect.signature(svu.render_capture).parameters)}."),
+        (lambda: svu.load_capture({"type": "scene"}), "load_capture(): path must be a str or a "
+         "Path, got {'type': 'scene'}; write a scene to a file with mi.parser.write_file."),
         (lambda: svu.render_capture("a.xml", True),
          "render_capture(): spp must be a whole number, got True."),
         (lambda: svu.TotalVariation(64, mesh), "TotalVariation: texels must be a Texels, got 64; "
@@ -272,7 +276,8 @@ def test_arguments_of_wrong_type_are_refused(vase):
         (lambda: vase.estimate.posterior.interval("roughness", "0.9"),
          "Posterior.interval(): level must be in (0, 1), got '0.9'."),
         (lambda: vase.estimate.posterior.map([0.5]),
-         "Posterior: texels are whole numbers, got [0.5]."),
+         "Posterior: no texel 0.5; texels are numbered from 0 to "
+         f"{vase.texels.count - 1}."),
     ):  # fmt: skip
         with pytest.raises(OptionError) as caught:
             call()

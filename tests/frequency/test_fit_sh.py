@@ -9,6 +9,7 @@ import pytest
 from numerics.samples import placed
 from oracle import frequency as oracle
 
+import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency.fit_sh import fit_sh, solver_groups
 from svu_mi.frequency.harmonics import power_spectrum
@@ -180,7 +181,7 @@ def test_an_unusable_sample_is_named(name, bad):
 )  # fmt: skip
 def test_options_outside_their_range_are_refused(options):
     with pytest.raises(OptionError):
-        fit_sh(**good(), **options)
+        svu.fit_sh(**good(), **options)
 
 
 def test_too_many_views_for_the_dual_are_refused():

@@ -280,15 +280,15 @@ def test_constants_of_a_material(grey, tmp_path):
         ({"metallic": 1.5}, r"in \[0, 1\]"),
         ({"metallic": float("nan")}, r"in \[0, 1\]"),
         ({"roughness": 0.1, "metallic": 0.0, "base_color": 0.5}, "leave at least one unknown"),
-        ({"metallic": True}, r"in \[0, 1\]"),
-        ("bsdf", "'scene'"),
-        (0.5, "map names to values"),
+        ({"metallic": True}, r"known\['metallic'\] must be a number, got True"),
+        ("bsdf", "known must be a dict or 'scene', got 'bsdf'"),
+        (0.5, "known must be a dict or 'scene', got 0.5"),
     ],
 )
 def test_known_values_that_are_refused(grey, known, words):
     capture, texels = grey
     with pytest.raises(OptionError, match=words):
-        estimate(capture, texels, known=known)
+        svu.estimate(capture, texels, known=known)
 
 
 @pytest.mark.slow

@@ -232,8 +232,9 @@ def test_wrong_arguments_are_refused():
                   {"seeding": "most"}):  # fmt: skip
         with pytest.raises(OptionError, match=next(iter(wrong)).rstrip("s")):
             GlobalSharing(materials(0), **wrong)
-    with pytest.raises(OptionError, match="numbered 0 to"):
-        GlobalSharing(materials(0), seeds=[0, 10**6])
+    for seeds, problem in (([0, 10**6], "no texel 1000000"), ([0.5], "no"), ([True], "1 flags")):
+        with pytest.raises(OptionError, match=f"GlobalSharing: {problem}"):
+            GlobalSharing(materials(0), seeds=seeds)
 
 
 # --- global sharing

@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Literal
 
 from svu_mi.core.validation import require, require_ranges, require_types
 from svu_mi.errors import OptionError
@@ -50,29 +49,14 @@ class LightOptions:
     def __post_init__(self) -> None:
         require_types(self)
         require_ranges(self, texels=(16, 10_000), draws=(2, 64), seed=(0, 2**31))
-        known = self.moves is None or isinstance(self.moves, bool)
-        require(self, known, "moves", "True, False or None")
-        require(self, isinstance(self.gains, bool), "gains", "True or False")
         if self.gains and self.background == "distant":
             raise OptionError(
                 "background 'distant' needs the recorded exposures and cannot be combined with "
                 "estimated gains; omit one of them."
             )
-        values = all(
-            name in MIXED and isinstance(x, Real) and 0 <= x <= 1 for name, x in self.known.items()
-        )
+        values = all(name in MIXED and 0 <= x <= 1 for name, x in self.known.items())
         require(self, values, "known", f"a value in [0, 1] of {' or '.join(MIXED)} only")
+        cells = [number for number, _ in self.depths]
+        valid = all(64 <= number <= 4096 and 1 <= rounds <= 100 for number, rounds in self.depths)
         pairs = "(cells, rounds), ascending, of 64 to 4096 cells and 1 to 100 rounds"
-        require(self, _are_depths(self.depths), "depths", pairs)
-
-
-def _are_depths(depths: Any) -> bool:
-    if not isinstance(depths, tuple) or not all(
-        isinstance(depth, tuple) and len(depth) == 2
-        and all(isinstance(x, Integral) for x in depth)
-        for depth in depths
-    ):  # fmt: skip
-        return False
-    cells = [number for number, _ in depths]
-    sizes = all(64 <= number <= 4096 and 1 <= rounds <= 100 for number, rounds in depths)
-    return bool(depths) and cells == sorted(cells) and sizes
+        require(self, bool(cells) and valid and cells == sorted(cells), "depths", pairs)

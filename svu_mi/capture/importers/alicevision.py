@@ -9,6 +9,7 @@ pixels from the image's corner, since 1.2.1 from its centre.
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from svu_mi.capture.importers.lens_distortion import Lens
 from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import LARGEST, MAX_SIDE, OPENCV, Frame, Source
-from svu_mi.capture.importers.source_files import find_file, find_folder, find_mask, substitutions
+from svu_mi.capture.importers.source_files import find_file, find_folder, find_masks, substitutions
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.files import read_json, refusing
 from svu_mi.core.io.schema import ITEMS, NUMBER, OBJECT, TEXT, Axis, Field, checked
@@ -96,14 +97,15 @@ def read(path: Path, options: ReadOptions) -> Source:
             if view["isPoseIndependant"] in FALSE:
                 raise ValueError("it is part of a rig of several cameras, which is not read")
             frames.append(_frame(
-                label, image, None if masks is None else find_mask(masks, Path(image.name)),
-                poses[view["poseId"]], cameras[view["intrinsicId"]], version,
+                label, image, poses[view["poseId"]], cameras[view["intrinsicId"]], version,
             ))  # fmt: skip
     if not frames:
         raise CaptureError(
             f"{file}: no view has a pose and intrinsics; compute the node StructureFromMotion of "
             "Meshroom, and give its cameras.sfm."
         )
+    files = find_masks(masks, [Path(frame.image.name) for frame in frames])
+    frames = [replace(frame, mask=file) for frame, file in zip(frames, files, strict=True)]
     return Source(
         format="alicevision", root=root, frames=frames, camera_axes=OPENCV,
         notes=_notes(file, len(views), len(frames)) + substitutions(str(file), images, names),
@@ -146,9 +148,7 @@ def _id(record: Any, name: str) -> float:
     return float(checked(_plain(record), {name: NUMBERED})[name])
 
 
-def _frame(
-    label: str, image: Path, mask: Path | None, pose: Any, camera: Any, version: tuple[int, ...]
-) -> Frame:
+def _frame(label: str, image: Path, pose: Any, camera: Any, version: tuple[int, ...]) -> Frame:
     transform = checked(
         checked(pose, {"pose": Field(OBJECT)})["pose"], {"transform": Field(OBJECT)}
     )
@@ -160,7 +160,7 @@ def _frame(
     x, y = known["principalPoint"]
     rotation = np.reshape(place["rotation"], (3, 3))  # camera to world, as columns become rows
     return Frame(
-        label=label, image=image, mask=mask, size=size,
+        label=label, image=image, size=size,
         to_world=affine(rotation, np.array(place["center"])) @ OPENCV,
         focal=_focal(camera, known, version), center=(x + first[0], y + first[1]),
         lens=_lens(known),

@@ -13,13 +13,12 @@ import numpy as np
 
 from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import DOWN_RIGHT_BACK, LARGEST, Frame, Source, pixels
-from svu_mi.capture.importers.source_files import find_folder, find_mask, find_photographs
+from svu_mi.capture.importers.source_files import find_folder, find_masks, find_photographs
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.npz import read_foreign_array
 from svu_mi.core.io.schema import NUMBER, Axis, Field, checked
 from svu_mi.core.validation import MAX_VIEWS
-from svu_mi.errors import CaptureError
 
 FILE, SUFFIX = "poses_bounds.npy", ".npy"
 IMAGES, MASKS = ("images",), ("masks", "mask")
@@ -45,12 +44,7 @@ def read(path: Path, options: ReadOptions) -> Source:
     root = file.parent
     files = find_photographs(root, options.images, IMAGES, file, len(rows))
     folder = find_folder("masks", options.masks, (root / name for name in MASKS))
-    masks = [None if folder is None else find_mask(folder, Path(file.name)) for file in files]
-    if folder is not None and not any(masks):
-        raise CaptureError(
-            f"{folder}: has no mask of {files[0].name} or any other photograph; name masks like "
-            "their photographs, or give their folder with --masks."
-        )
+    masks = find_masks(folder, [Path(file.name) for file in files])
     return Source(
         format="llff",
         root=root,

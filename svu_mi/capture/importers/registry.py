@@ -55,8 +55,8 @@ class ReadOptions:
     """Folder of the photographs, except for data sets with a fixed layout (default: paths in
     transforms.json; images or image near the poses)."""
     masks: Path | None = None
-    """Folder of the masks, except for data sets with a fixed layout (default: paths in
-    transforms.json; masks or mask near the poses, if any)."""
+    """Folder of the masks, except for data sets with a fixed layout (default: only those named in
+    transforms.json; for other formats masks or mask near the poses, if any)."""
     split: str = "train"
     """Part of the data set: train, test or val, in files or lists of their own; X of
     transforms_X.json; all, without regard to lists. Stanford-ORB: train, test, or the name of

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
+from svu_mi.capture.match_photographs import masks_of
 from svu_mi.core.identifiers import fits_file_name
 from svu_mi.core.io.files import refusing
 from svu_mi.errors import CaptureError, counted, excerpt
@@ -208,11 +209,26 @@ def list_pictures(folder: Path) -> list[Path]:
 def find_mask(folder: Path, name: Path) -> Path | None:
     """Return the mask of the photograph ``name`` (a relative path) in a folder, or None.
 
-    The mask of ``a.jpg`` is ``a.jpg.png``, ``a.jpg``, or ``a`` with any suffix.
+    The mask of ``a.jpg`` is ``a_mask`` (Metashape) or ``mask_a`` with any suffix, ``a.jpg.png``,
+    ``a.jpg``, or ``a`` with any suffix.
     """
-    stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
-    names = (folder / f"{name}.png", folder / name, *stems)
+    marked, own = (
+        [folder / name.with_name(stem + suffix) for stem in stems for suffix in SUFFIXES]
+        for stems in (masks_of(name.stem), (name.stem,))
+    )
+    names = (*marked, folder / f"{name}.png", folder / name, *own)
     return next((file for file in names if file.is_file()), None)
+
+
+def find_masks(folder: Path | None, names: Sequence[Path]) -> list[Path | None]:
+    """Return the masks of photographs (see ``find_mask``); raise if the folder has none of them."""
+    masks = [None if folder is None else find_mask(folder, name) for name in names]
+    if folder is not None and not any(masks):
+        raise CaptureError(
+            f"{folder}: has no mask of {names[0].name} or any other photograph; name masks like "
+            "their photographs, or a_mask.png for a.jpg, or give their folder with --masks."
+        )
+    return masks
 
 
 def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:

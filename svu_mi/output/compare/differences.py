@@ -153,8 +153,7 @@ class ComparisonPlan:
 
     def __init__(self, a: Source, b: Source, *, preset: Any, resolution: Any, tolerance: Any):
         pair = (preset, preset) if isinstance(preset, str) else preset
-        two = isinstance(pair, tuple | list) and len(pair) == 2
-        if not (two and all(isinstance(name, str) for name in pair)):
+        if len(pair) != 2:
             raise OptionError(
                 "compare(): preset must be the name of a preset, or two names for a and b, got "
                 f"{preset!r}.", shell="--preset takes one preset, or two for A and B."

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import fold, to_drjit
-from svu_mi.core.validation import require, require_types
+from svu_mi.core.validation import indices_of, require, require_types
 from svu_mi.errors import OptionError
 from svu_mi.geometry.texels import Texels
 from svu_mi.posterior.estimate import Estimate
@@ -125,7 +125,7 @@ class GlobalSharing(Regularizer):
     def _chosen_seeds(self) -> np.ndarray:
         """Return the texel indices of the seeds, (S,) int64."""
         if not isinstance(self.seeds, (int, np.integer)):
-            chosen = np.array(self.seeds, np.int64).reshape(-1)
+            chosen = indices_of(np.ravel(self.seeds), self.texels.count, "GlobalSharing", "texel")
             return chosen[np.sort(np.unique(chosen, return_index=True)[1])]
         if self.seeds < 1:
             raise OptionError(f"GlobalSharing: seeds must be at least 1, got {self.seeds}.")

@@ -202,7 +202,7 @@ def test_only_model_may_have_another_number(tmp_path):
     assert len(source.frames) == 1 and len(source.notes) == 1
 
 
-@pytest.mark.parametrize("name", ["a.png.png", "a.png", "a.jpg"])
+@pytest.mark.parametrize("name", ["a.png.png", "a.png", "a.jpg", "a_mask.png", "mask_a.jpg"])
 def test_masks_are_found_by_any_of_their_names(tmp_path, name):
     put(tmp_path)
     (tmp_path / "shapes").mkdir()
@@ -220,6 +220,8 @@ def test_folders_that_are_not_there(tmp_path):
         read_colmap(tmp_path, masks=tmp_path / "none")
     with pytest.raises(CaptureError, match="none: no such folder; .* --images"):
         read_colmap(tmp_path, images=tmp_path / "none")
+    with pytest.raises(CaptureError, match="sparse: has no mask of a.png or any other photograph"):
+        read_colmap(tmp_path, masks=tmp_path / "sparse")
     with pytest.raises(CaptureError, match="1 of 1 photographs is missing, first a.png"):
         read_colmap(tmp_path, images=tmp_path / "sparse")
 

@@ -25,7 +25,7 @@ from svu_mi.capture.importers.source import OPENCV, Frame, Source
 from svu_mi.capture.importers.source_files import (
     find_file,
     find_folder,
-    find_mask,
+    find_masks,
     missing_folder,
     substitutions,
 )
@@ -71,8 +71,8 @@ def read(path: Path, options: ReadOptions) -> Source:
 
     ``path`` is the folder of the model, the folder ``sparse`` that contains its ``0``, or a project
     with ``sparse/0``, ``sparse`` or ``dense/sparse``. Of several models ``0``, ``1``, ..., the one
-    with most images is read. By default, ``images`` and ``masks`` are near the model. The mask of
-    an image NAME is ``NAME.png``, or has the same stem.
+    with most images is read. By default, ``images`` and ``masks`` are near the model. For
+    names of masks, see ``find_mask``.
     """
     project = read_project(path, options.images, options.masks, partly=True)
     frames = []
@@ -150,7 +150,7 @@ def read_project(
         views=views,
         images=images,
         photographs=files,
-        masks=[None if masks is None else find_mask(masks, f.relative_to(images)) for f in files],
+        masks=find_masks(masks, [file.relative_to(images) for file in files]),
     )
 
 
