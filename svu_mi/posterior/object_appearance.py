@@ -46,8 +46,6 @@ def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, An
     )  # irradiance
     photographed = part.visibility.mean_color(part.views, part.surface)
     unseen = np.isnan(photographed)
-    expected = _matte(color, metal, total, total)[~unseen].sum()
-    color = color * (photographed[~unseen].sum() / max(expected, np.finfo(np.float32).tiny))
     mean = np.where(unseen, _matte(color, metal, total, total), photographed)
     texels = observed.texels.subset(part.seen)
     scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
