@@ -4,7 +4,7 @@ Materials of some texels are estimated as if there were no such light, so that t
 photographs is reproduced. Other texels have those of the nearest one.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mitsuba as mi
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from svu_mi.capture.surroundings import surroundings
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.geometry.texels import filled_image
+from svu_mi.light.panorama import trace_panorama
 from svu_mi.posterior.calibrated_fit import fit, problem_of
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.sample_statistics import sample_factors
@@ -20,7 +21,7 @@ from svu_mi.reflection.principled import diffuse_from_principled, specular_from_
 from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.reflection.render_model import prefiltered_model
 from svu_mi.reflection.roughness_levels import roughness_levels
-from svu_mi.reflection.shown_object import ShownObject
+from svu_mi.reflection.shown_object import NearSurfaces, ShownObject
 from svu_mi.statistics.gather_statistics import Weighting
 
 if TYPE_CHECKING:
@@ -30,32 +31,36 @@ MOST = 2**12  # number of texels whose materials are estimated
 LEVELS = 8  # number of roughness levels of prefiltered light
 
 
-def shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any, Any]:
-    """Return the object, its scene, and an integrator for light of other shapes."""
+def shown_object(observed: "Observed", cells: int, *, alone: bool) -> NearSurfaces:
+    """Return the object, with the light of other shapes unless it is ``alone``."""
     switches = AngularPreset(cells=cells)
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
     chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
     part = observed.subset(chosen)
     model = part.model(roughness_levels(switches.levels), switches, 3)
     roughness, metal, color = np.split(_estimated(part, model), [1, 2], axis=1)
-    near, lamps = part.near_light(switches), part.lamps(switches)
-    lights = [model, *(light for light in (near, lamps) if light is not None)]
-    total, *others = (
+    lamps = part.lamps(switches)
+    total, *of_lamps = (
         np.stack([of_channel[0].numpy() for of_channel in light.moments], axis=1)
-        for light in lights
+        for light in (model, lamps)
+        if light is not None
     )  # irradiance
     photographed = part.visibility.mean_color(part.views, part.surface)
-    unseen = np.isnan(photographed)
-    mean = np.where(unseen, _matte(color, metal, total, total), photographed)
+    unseen = np.isnan(photographed).any(axis=1)
+    # Unseen texels have the mean reflectance of photographs; seen ones are as bright as these.
+    expected = _matte(color, metal, total, total)[~unseen].sum()
+    color[unseen] *= photographed[~unseen].sum() / max(expected, np.finfo(np.float32).tiny)
+    mean = np.where(unseen[:, None], _matte(color, metal, total, total), photographed)
     texels = observed.texels.subset(part.seen)
     scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
-    # Lobes read distant light only.
-    matte = _matte(color, metal, total, sum(others, np.zeros(3)))
+    others = None if alone else trace_panorama(observed.capture, scene, integrator)
+    # Lobes read no light of lamps.
+    matte = _matte(color, metal, total, sum(of_lamps, np.zeros(3)))
     values = np.concatenate([matte, roughness, color, metal], axis=1).astype(np.float32)
     light = prefiltered_model(observed.distant_light, switches, LEVELS)
     flat = to_drjit(mi.Float, filled_image(texels, values).ravel())
-    shown = ShownObject(scene, light, flat, observed.texels.resolution)
-    return shown, scene, integrator
+    shown = ShownObject(scene, light, flat, observed.texels.resolution, others)
+    return NearSurfaces(scene, shown, others)
 
 
 def _estimated(part: "Observed", model: ReflectionModel) -> np.ndarray:

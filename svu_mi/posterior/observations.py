@@ -42,7 +42,8 @@ from svu_mi.light.light_visibility import (
     trace_mirror,
     trace_samples,
 )
-from svu_mi.light.near_light import NearLight, ray_count, trace_near_light
+from svu_mi.light.near_light import NearLight, trace_near_light
+from svu_mi.light.panorama import trace_panorama
 from svu_mi.posterior.kept_results import (
     pack_light_visibility,
     pack_visibility,
@@ -54,7 +55,7 @@ from svu_mi.posterior.sample_statistics import sample_statistics
 from svu_mi.presets import AngularPreset, AnyPreset, Preset, Skip
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
-from svu_mi.reflection.shown_object import ShownObject
+from svu_mi.reflection.shown_object import NearSurfaces
 from svu_mi.statistics.gather_statistics import UNIFORM, Weighting, rounding_sums
 from svu_mi.statistics.statistics import Statistics
 
@@ -239,27 +240,27 @@ class Observed:
             return None
         key = "near", switches.bounces
         if key not in self._rays:
-            shown, scene, integrator = self._surroundings(switches)
-            rays = ray_count(len(self.seen), self._has_reflectors)
-            self._rays[key] = trace_near_light(
-                scene, integrator if self._has_reflectors else None, self.surface, rays, shown
-            )
+            self._rays[key] = trace_near_light(self._surfaces(switches), self.surface)
         near: NearLight = self._rays[key]
         return near
 
-    def _surroundings(self, switches: AngularPreset) -> tuple[ShownObject | None, Any, Any]:
-        """Return the object, None if it is black, and scene and integrator; cached."""
+    def _surfaces(self, switches: AngularPreset) -> NearSurfaces:
+        """Return the surfaces around texels; cached."""
         if switches.bounces and self.capture.flash is not None:
             raise OptionError(
                 "Light that the object reflects onto itself is not supported with a flash; omit "
                 "--bounces."
             )
         key = "around", switches.bounces
-        if key not in self._of_light:
-            found = shown_object(self, switches.cells) if switches.bounces else None
-            self._of_light[key] = found or (None, *surroundings(self.capture, None))
-        around: tuple[ShownObject | None, Any, Any] = self._of_light[key]
-        return around
+        if key not in self._of_light and switches.bounces:
+            alone = not self._has_reflectors
+            self._of_light[key] = shown_object(self, switches.cells, alone=alone)
+        elif key not in self._of_light:
+            scene, integrator = surroundings(self.capture, None)
+            others = trace_panorama(self.capture, scene, integrator)
+            self._of_light[key] = NearSurfaces(scene, None, others)
+        surfaces: NearSurfaces = self._of_light[key]
+        return surfaces
 
     def lamps(self, switches: AngularPreset) -> Lamps | None:
         """Return the light of lamps at S texels, traced on first use; None without lamps."""

@@ -75,21 +75,6 @@ def lobe_profile(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
     return partial(zonal_profile, lobe)
 
 
-@lru_cache
-def zonal_factors(
-    profile: Callable[[float, np.ndarray], np.ndarray], alpha: float, degree: int
-) -> np.ndarray:
-    """Return factors of degree l of the convolution with a lobe, (degree + 1,); 1 for l = 0."""
-    nodes, weights = legendre.leggauss(512)
-    # Nodes are dense at the centre of narrow lobes.
-    t = (nodes + 1) / 2
-    angle = np.pi * t**3
-    density = weights / 2 * 3 * np.pi * t**2 * np.sin(angle)
-    polynomials = legendre.legvander(np.cos(angle), degree)
-    lobe = profile(alpha, np.cos(angle)) * density
-    return (lobe @ polynomials) / lobe.sum()
-
-
 def smith_g1(cosine: Any, alpha: Any) -> Any:
     """Return G1 = 2 / (1 + sqrt(1 + alpha^2 tan^2 theta)) (Eq. 6) from the cosine."""
     root = _root(cosine)(cosine * cosine * (1 - alpha * alpha) + alpha * alpha)

@@ -149,8 +149,7 @@ class ReflectionModel:
         if self.wide is not None:
             lobes += self.wide.reflect(self.surface.lane, normals, direction, cosine)
         if self.near is not None:
-            hidden = free if self.reads_mirrors else None
-            lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine, hidden))
+            lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine))
         if self.lamps is not None:
             lit = self.lamps.reflect(self.surface.lane, normals, direction, cosine)
             lobes = added_lobes(lobes, lit)
