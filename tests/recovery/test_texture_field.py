@@ -261,13 +261,35 @@ def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.nda
     apart = np.linalg.solve(K + d * np.eye(len(K)), d * np.abs(field.values - field.own_mean)[row])
     alone = (inverse @ (1 / field.deviation[row])) ** 2
     square = alone + module.DISAGREEMENT * apart**2
-    seen = np.isfinite(field.variation[row])
-    i, j = np.nonzero((K < -1e-9) & seen & seen[:, None])  # neighbours
-    place, x0 = np.array(field.texels.position, np.float64), field.values[row]
-    slope = np.abs(x0[i] - x0[j]).sum() / np.linalg.norm(place[:, i] - place[:, j], axis=0).sum()
-    most = (0.14 * field.texels.extent * slope) ** 2
+    seen, size = field.seen, np.array(field.texels.footprint, np.float64)
+    slope = np.sqrt(exact_squared_steps(field, row)[seen]).sum() / size[seen].sum()
+    most = (0.1 * field.texels.extent * slope) ** 2
     limit = 0.4**2 * alone + square * most / (most + square)
     return np.sqrt(np.where(seen, np.minimum(square, limit), square))
+
+
+def exact_squared_steps(field: TextureField, row: int) -> np.ndarray:
+    """(T,) float64, mean squared difference of one value from linked texels."""
+    K, x0 = dense(field, row), field.values[row]
+    linked = (K != 0) & ~np.eye(len(K), dtype=bool)
+    squares = np.where(linked, np.square(x0 - x0[:, None]), 0)
+    return squares.sum(axis=1) / np.maximum(linked.sum(axis=1), 1)
+
+
+@pytest.mark.slow
+def test_standard_deviations_are_larger_at_edges(recovered, inverses) -> None:
+    """Where nothing is clipped: rho c^2 + (1 - rho) / precision + e h^2."""
+    field, row = recovered.field, 3
+    steps = exact_squared_steps(field, row)
+    coherent = exact_coherent(field, row, inverses[row])
+    rho = np.where(recovered.recovery.coverage > 0, 0.5, 1)
+    smooth = rho * coherent**2 + (1 - rho) * field._variance[row]
+    value, width = field.values[row], field.width[row]
+    inner = np.abs(value - 0.5) < 0.5 - clipped_normal.FAR * width
+    edges = inner & (0.2 * steps > 0.1 * smooth)
+    assert edges.sum() > 30 and inner.sum() > 300
+    wanted = np.sqrt(smooth + 0.2 * steps)
+    np.testing.assert_allclose(width[inner], wanted[inner], rtol=0.02)
 
 
 @pytest.mark.slow

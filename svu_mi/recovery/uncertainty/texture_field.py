@@ -14,9 +14,13 @@ m and b are mean and standard deviation of a texel's own posterior, and g is a s
 of variance 1. A b is the standard deviation after smoothing if all errors are correlated. The
 second term of c^2 averages |x0 - m| over a small neighbourhood (d is constant).
 
-Errors that neighbours share differ between places, and x0 varies with them. If x0 varies by v over
-``REACH`` (mean slope of seen texels), c^2 is thus reduced to (f A b)^2 + c^2 v^2 / (c^2 + v^2) at
-most, where f is the share that the whole object may have in common. Flat textures have small v.
+Errors that neighbours share differ between places, and x0 varies with them. Let h be the rms
+difference of x0 between a texel and its neighbours, and v what x0 varies over ``REACH``: this
+distance times the mean slope, the sum of h over that of the sizes of seen texels. c^2 is reduced to
+(f A b)^2 + c^2 v^2 / (c^2 + v^2) at most, where f is the share that the whole object may have in
+common. Flat textures have small v.
+
+Pixels and smoothing blur edges of textures: e h^2 is added to the variance, and draws are scaled.
 
 Values x are clipped to [0, 1]; their standard deviations are enlarged to compensate for that.
 """
@@ -42,7 +46,6 @@ from svu_mi.geometry.texels import Texels
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.posterior.calibrated import CalibratedKernel
 from svu_mi.posterior.estimate import Estimate
-from svu_mi.posterior.posterior import Posterior
 from svu_mi.recovery.initialisation import supports_texture_field
 from svu_mi.recovery.recover import PRIOR_WEIGHT
 from svu_mi.recovery.recovery_options import ShOptions
@@ -62,9 +65,10 @@ from svu_mi.recovery.uncertainty.gmrf import Nested, Smoother
 # rho, correlated fraction of the variance of a seen texel. Metallic (MIXED) is fully correlated:
 # an ambiguity between metal and paint affects a whole neighbourhood.
 COMMON, COMMON_MIXED = 0.5, 1.0
-DISAGREEMENT, DISAGREEMENT_MIXED = 1.5, 4.0  # a
+DISAGREEMENT, DISAGREEMENT_MIXED = 1.1, 4.0  # a
 NARROW = 0.1  # d, relative to the median of K's diagonal
-REACH, SHARED = 0.14, 0.4  # distance of v, relative to the object's extent; f
+REACH, SHARED = 0.1, 0.4  # distance of v, relative to the object's extent; f
+EDGE = 0.2  # e
 LENGTH = 0.1  # correlation length of g, relative to the object's extent
 INTERVAL_MASS = 0.9
 TINY = 1e-9
@@ -80,8 +84,7 @@ class TextureField:
         names: Recovered parameters; the others have standard deviation 0.
         own_mean: m, (N, T): posterior means of the N values of all parameters, base colour first.
         deviation: b, (N, T): posterior standard deviations.
-        common: rho, (N, T); 1 for unseen texels.
-        variation: v, (N, T); infinite for unseen texels.
+        seen: (T,) bool, texels that photographs show.
         roots: Function that returns Cholesky factors of each texel's correlations, (T, N, N);
             needed for draws only.
         scale: Standard deviation of the logarithm of a base colour factor that is common to all
@@ -105,8 +108,7 @@ class TextureField:
     names: tuple[str, ...]
     own_mean: np.ndarray
     deviation: np.ndarray
-    common: np.ndarray
-    variation: np.ndarray
+    seen: np.ndarray
     roots: Callable[[], np.ndarray]
     scale: np.ndarray
     smoother: Smoother
@@ -188,8 +190,12 @@ class TextureField:
         )  # fmt: skip
         left, a = np.square(solved["left"]), _by_row(DISAGREEMENT, DISAGREEMENT_MIXED)
         square = left + a * np.square(solved["apart"])
-        varies = 1 / (1 + square / np.square(self.variation))
-        return np.sqrt(np.minimum(square, SHARED**2 * left + square * varies))
+        steps = np.sqrt(self._squared_steps[:, self.seen]).sum(axis=1, keepdims=True)
+        size = np.maximum(self.texels.footprint.numpy()[self.seen].sum(), TINY)
+        varies = np.maximum(REACH * self.texels.extent / size * steps, TINY)
+        varies = np.where(self.seen, varies, np.inf)
+        limit = SHARED**2 * left + square / (1 + square / np.square(varies))
+        return np.sqrt(np.minimum(square, limit))
 
     def _inputs(self) -> list[Any]:
         """Return everything that the correlated standard deviation depends on."""
@@ -226,7 +232,8 @@ class TextureField:
     @cached_property
     def _unclipped_sd(self) -> np.ndarray:
         """``width`` without the common scale of base colour."""
-        width = clipped_normal.width_of(self.values, self._own_sd)
+        sd = np.sqrt(np.square(self._own_sd) + EDGE * self._squared_steps)
+        width = clipped_normal.width_of(self.values, sd)
         if self.min_width is None:
             return width
         left = np.maximum(self.min_width**2 - self._common_sd**2, 0)
@@ -239,18 +246,33 @@ class TextureField:
         common[:3] = self.scale[:, None] * self.values[:3]
         return common
 
+    @property
+    def common(self) -> np.ndarray:
+        """Correlated share rho of the variance, (N, T); 1 for unseen texels."""
+        return np.where(self.seen, _by_row(COMMON, COMMON_MIXED), 1.0).astype(np.float32)
+
+    @cached_property
+    def _squared_steps(self) -> np.ndarray:
+        """Mean squared difference h^2 between each texel and its neighbours, (N, T)."""
+        x0 = self.smoother.values  # before filling
+        own, total, number = np.arange(x0.shape[1]), np.zeros_like(x0), np.zeros(x0.shape[1])
+        for column in self.smoother.around:
+            other = np.array(column, np.int64)  # the texel itself in place of a missing neighbour
+            total += np.square(x0[:, other] - x0)
+            number += other != own
+        return total / np.maximum(number, 1)
+
     @cached_property
     def _own_sd(self) -> np.ndarray:
-        """Standard deviations after clipping, without the common scale of base colour, (N, T)."""
+        """Standard deviations after clipping, without edges and the common scale, (N, T)."""
         return np.sqrt(self.common * self._coherent_sd**2 + (1 - self.common) * self._variance)
 
     @property
     def _variance(self) -> np.ndarray:
         """Diagonal of (D + K)^-1, (N, T), as if D and links were constant [Economou 2006]."""
-        links, whole = self.smoother.links, self.smoother.precision
-        whole += links
-        rows = zip(links, whole, strict=True)
-        return np.stack([2 / np.pi * scipy.special.ellipk((k / w) ** 2) / w for k, w in rows])
+        links = self.smoother.links
+        whole = links + self.smoother.precision
+        return 2 / np.pi * scipy.special.ellipk(np.square(links / whole)) / whole
 
     @staticmethod
     def rows(name: str) -> slice:
@@ -336,38 +358,22 @@ def field_around(
     values = {name: np.atleast_2d(textures.at(texels, name).T).astype(np.float64)
               for name in NAMES}  # fmt: skip
     x0 = np.concatenate(list(values.values()))
-    own_mean, deviation = _texel_moments(posterior, x0)
+    means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
+    seen, others = posterior.observed, prior_sds(posterior)[:, None]
+    deviation = np.maximum(np.where(seen, sds, others), SMALLEST_SD)
     # lambda per pair: total variation is a mean over pairs, in nats per seen texel.
-    seen, pairs = int(posterior.observed.sum()), max(int(dr.width(around.pairs[0])), 1)
-    strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + PRIOR_WEIGHT)
+    per_pair = seen.sum() / max(int(dr.width(around.pairs[0])), 1)
+    strength = options.tv * np.sqrt(texels.count) * per_pair / (1 + PRIOR_WEIGHT)
     smoother = Smoother.of(
         1 / deviation**2, x0, around.around, strength, max(options.tv_epsilon, SMALLEST_SD)
     )
     return TextureField(
-        texels=texels, textures=textures, names=tuple(names), own_mean=own_mean,
-        deviation=deviation, common=_common(posterior), smoother=smoother,
-        variation=_variation(x0, texels, around, posterior.observed),
+        texels=texels, textures=textures, names=tuple(names),
+        own_mean=np.where(seen, means, x0), deviation=deviation, seen=seen, smoother=smoother,
         roots=cache(partial(correlation_roots, posterior, values)),
         scale=np.asarray(posterior.kernel.common),
         cache=ArrayCache() if estimate.observed is None else estimate.observed.cache,
     )  # fmt: skip
-
-
-def _common(posterior: Posterior[CalibratedKernel]) -> np.ndarray:
-    """Return rho, the correlated share of the variance, (N, T)."""
-    parts = _by_row(COMMON, COMMON_MIXED)
-    return np.where(posterior.observed, parts, 1.0).astype(np.float32)
-
-
-def _variation(x0: np.ndarray, texels: Texels, around: Neighbors, seen: np.ndarray) -> np.ndarray:
-    """Return what ``x0`` varies over ``REACH``, mean slope times distance, (N, T)."""
-    first, second = (np.array(column) for column in around.pairs)
-    both = seen[first] & seen[second]
-    first, second, place = first[both], second[both], np.array(texels.position)
-    length = np.linalg.norm(place[:, first] - place[:, second], axis=0).sum()
-    rise = [np.abs(row[first] - row[second]).sum() for row in x0]
-    varies = np.maximum(REACH * texels.extent / max(length, TINY) * np.array(rise), TINY)
-    return np.where(seen, varies[:, None], np.inf)
 
 
 def _by_row(value: float, mixed: float) -> np.ndarray:
@@ -375,13 +381,3 @@ def _by_row(value: float, mixed: float) -> np.ndarray:
     return np.concatenate([
         np.full((CHANNELS[name], 1), mixed if name in MIXED else value) for name in NAMES
     ])  # fmt: skip
-
-
-def _texel_moments(
-    posterior: Posterior[CalibratedKernel], x0: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return posterior means and sds, (N, T) each; for unseen texels, x0 and the prior's sd."""
-    means, sds = (np.concatenate(list(table.values())) for table in texel_moments(posterior))
-    seen = posterior.observed
-    deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SMALLEST_SD)
-    return np.where(seen, means, x0), deviation
