@@ -1,8 +1,8 @@
 """``svu bench reflected``: textures under light of tables, of the object itself, and of lamps.
 
 Posterior means and 90 % intervals of the preset ``default``, compared with the true textures, in
-photographs of direct light, of all bounces, on tables, and under four area lights. The radiance of
-the model is compared with path tracing (``radiance_error``).
+photographs of direct light, of all bounces, on tables (from above), and under four area lights.
+The radiance of the model is compared with path tracing (``radiance_error``).
 """
 
 from __future__ import annotations
@@ -74,6 +74,12 @@ class ReflectedCase(CaseSubject):
         return photographed(capture, repeat(capture.scene), self.photographs["spp"])
 
     @property
+    def from_above(self) -> Capture:
+        """Photographs of direct light, without a table, by the cameras that are above one."""
+        capture = replace(with_table(self.direct, BLACK), scene=self.direct.scene)
+        return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=2)
+
+    @property
     def under_lamps(self) -> Capture:
         """Photographs under four area lights, without the environment."""
         center, size = box_of(arrays(self.direct.shape))
@@ -111,6 +117,7 @@ ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
     "direct light": lambda case: case.figures(case.direct),
     "all bounces, ignored": lambda case: case.figures(case.bounced, known=False),
     "all bounces": lambda case: case.figures(case.bounced, bounces=True),
+    "direct light, from above": lambda case: case.figures(case.from_above),
     "black table": lambda case: case.figures(case.on_known_table(BLACK), bounces=True),
     "grey table, ignored": lambda case: case.figures(
         on_table(case.direct, GREY, case.photographs["spp"]), known=False
