@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
+from oracle.angular import albedo, fresnel, reflectance
 from support.helpers import STUDIO, memory_capture, render_views, run, write_ball
 from support.walled import BLACK, angular
 
@@ -21,10 +22,10 @@ from svu_mi.capture.surroundings import surroundings
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
-from svu_mi.light.band_limited import band_limited_lighting
+from svu_mi.light.band_limited import band_limited_lighting, lat_long_texture
 from svu_mi.light.environment import read_environment
 from svu_mi.light.near_light import trace_near_light
-from svu_mi.light.panorama import trace_panorama
+from svu_mi.light.panorama import Panorama, trace_panorama
 from svu_mi.posterior.object_appearance import shown_object
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
@@ -216,6 +217,40 @@ def test_mirror_rays_of_a_shown_object_meet_it():
     expected = RADIANCE[:, None] * albedo
     np.testing.assert_allclose(found.mean(axis=1), expected.mean(axis=1), rtol=0.02)
     assert np.abs(found / expected - 1).mean() < 0.05
+
+
+def test_a_shown_object_mirrors_sky_and_table():
+    """Diffuse radiance, and the light in the mirror direction times the albedo of its lobe."""
+    below = mi.ScalarTransform4f().translate([0, -2, 0]).rotate([1, 0, 0], -90).scale(1000)
+    glow = {"type": "area", "radiance": 0.0}
+    scene = mi.load_dict({"type": "scene", "a": {"type": "sphere", "emitter": glow},
+                          "b": {"type": "rectangle", "to_world": below}})  # fmt: skip
+    sky, table = 7.0, np.array([0.5, 2.0, 3.0])
+    light = band_limited_lighting(
+        read_environment(mi.load_dict({"type": "constant", "radiance": sky})), 9
+    )
+    around = Panorama(mi.Point3f(0), lat_long_texture(np.full((9, 16, 4), [*table, 1.0])))
+    diffuse, roughness, metallic = np.array([0.1, 0.2, 0.3]), 0.6, 0.3
+    values = mi.Float([*diffuse, roughness, *GOLD, metallic])
+    shown = ShownObject(scene, prefiltered_model(light, angular(), 16), values, (1, 1), around)
+    start = 3 * fibonacci(60)
+    toward = np.array([0.4, -0.3, 0.5]) - start
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    ray = mi.Ray3f(*(to_drjit(mi.Vector3f, x.T.astype(np.float32)) for x in (start, toward)))
+    met = scene.ray_intersect_preliminary(ray)
+    found = shown.radiance(ray, met, mi.Bool(True)).numpy().T
+    along = (start * toward).sum(axis=1)
+    normal = start - (along + np.sqrt(along**2 - 8))[:, None] * toward  # on the unit sphere
+    cosine = -(normal * toward).sum(axis=1)
+    up = (2 * cosine[:, None] * normal + toward)[:, 1]
+    kept = (np.abs(up) > 0.05) & (start[:, 1] > -1.9)  # meets sky or table, from above it
+    assert 10 < (up[kept] > 0).sum() < kept.sum() - 10
+    for own, value, mirrored in zip(found[kept], cosine[kept], up[kept], strict=True):
+        A, B = albedo(roughness**2, value, 200)
+        D = reflectance(roughness**2, value, fresnel, 200)
+        shine = (1 - metallic) * D + metallic * (np.array(GOLD) * A + B)
+        expected = diffuse + shine * (sky if mirrored > 0 else table)
+        np.testing.assert_allclose(own, expected, rtol=0.01)
 
 
 @pytest.fixture(scope="module")

@@ -184,7 +184,13 @@ def lobe_average(
 
 
 def albedo(alpha: float, cosine: float, nodes: int = 500) -> tuple[float, float]:
-    """(A, B) of the directional albedo R0 A + B of a GGX reflection with Schlick's Fresnel.
+    """(A, B) of the directional albedo R0 A + B of a GGX reflection with Schlick's Fresnel."""
+    schlick = reflectance(alpha, cosine, lambda along: (1 - along) ** 5, nodes)
+    return reflectance(alpha, cosine, np.ones_like, nodes) - schlick, schlick
+
+
+def reflectance(alpha: float, cosine: float, fresnel, nodes: int = 500) -> float:
+    """Directional albedo of a GGX reflection with a Fresnel term of the cosine h.o.
 
     The integral over light i of D(h) G1(i) G1(o) F(h.o) / (4 cos_o cos_i) cos_i, taken over
     the half vector h instead: di = 4 (h.o) dh.
@@ -204,8 +210,7 @@ def albedo(alpha: float, cosine: float, nodes: int = 500) -> tuple[float, float]
     value = ggx(cos_h, alpha)[:, None] * g1(np.where(lit, light, 1), alpha) * g1(cosine, alpha)
     value = np.where(lit, value * along / cosine, 0)
     area = (weight * np.pi / 4 * jacobian * sin_h)[:, None] * (2 * np.pi / nodes)
-    fresnel = (1 - np.clip(along, 0, 1)) ** 5
-    return float((value * (1 - fresnel) * area).sum()), float((value * fresnel * area).sum())
+    return float((value * fresnel(np.clip(along, 0, 1)) * area).sum())
 
 
 # --- diffuse --------------------------------------------------------------------------------
