@@ -412,8 +412,6 @@ def preset(
         >>> svu.preset("paper", method="spectrum", penalize_constant=False).regularizer
         0.001
     """
-    if method not in METHODS:
-        raise OptionError(f"Unknown method {method!r}; use one of {', '.join(METHODS)}.")
     kind, named = METHODS[method]
     if isinstance(base, str):
         _require(base, method, "preset", {key: list(there) for key, (_, there) in METHODS.items()})

@@ -152,10 +152,9 @@ def read_matrix(transform: Any) -> np.ndarray:
 def check_sensor(sensor: Any, label: str) -> None:
     """Raise unless a sensor is a pinhole camera with a rigid pose."""
     if sensor.class_name() != "PerspectiveCamera":
-        is_batch = sensor.class_name() == "BatchSensor"
         raise SceneError(
-            f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported: "
-            f"{'take its sensors out of it' if is_batch else 'change its type'}."
+            f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported: change "
+            "its type, or take the sensors out of a batch."
         )
     rotation = to_world(sensor)[:3, :3]
     if np.linalg.det(rotation) < 0:

@@ -1,14 +1,16 @@
-"""``--help``: commands in groups, options in order of use, texts wrapped to the terminal."""
+"""Options of commands: reading of words, and ``--help`` with options in order of use."""
 
+import contextlib
 import dataclasses
 import functools
 import inspect
+import io
 import operator
 import re
 import shutil
 import textwrap
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import docstring_parser
@@ -20,7 +22,10 @@ from tyro.constructors import (
     UnsupportedTypeAnnotationError,
 )
 
+from svu_mi.errors import OptionError
+
 REGISTRY = ConstructorRegistry()
+OPTION = r"--[a-z][a-z-]*"
 INDENT, NARROW, WIDEST = 24, 56, 100  # columns
 NO_CONFIG: Any = tyro.conf.arg()
 FIRST, OTHERS = "options", "advanced"
@@ -88,10 +93,34 @@ def command_help(name: str, command: Any) -> str:
     return "\n\n".join(usage + listed)
 
 
+def parsed(name: str, command: Any, words: Sequence[str]) -> tuple[Any, list[str]]:
+    """Return a command with options from words, and unknown words; raise for invalid values."""
+    printed = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
+            return tyro.cli(  # type: ignore[return-value]
+                command, prog=f"svu {name}", args=words, registry=REGISTRY,
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
+                return_unknown_args=True,
+            )  # fmt: skip
+    except SystemExit:
+        raise OptionError(_refusal(name, flags_of(command), printed.getvalue())) from None
+
+
+def _refusal(name: str, flags: Sequence[str], printed: str) -> str:
+    """Return a sentence about the option that tyro's error message, ``printed``, names first."""
+    option = re.findall(OPTION, printed)[0]
+    named = [each for each in flags if option in re.findall(OPTION, each)]
+    problem = " ".join([f"svu {name} needs", *(f for f in flags if f[0] != "-"), *named])
+    if named and "Missing from" not in printed:
+        problem = f"{option} takes{named[0].split(option)[1]}"
+    return f"{problem}; svu {name} --help explains it."
+
+
 def flags_of(command: Any) -> list[str]:
-    """Return all options of a command: ``--mesh``, ``--no-cache``."""
+    """Return all options of a command with their values: ``--mesh PATH``."""
     with REGISTRY:
-        return re.findall(r"--[a-z][a-z-]*", " ".join(each[2] for each in _options(command)))
+        return [each[2] for each in _options(command)]
 
 
 def _options(source: Callable[..., Any], title: str = OTHERS) -> Iterator[tuple[str, ...]]:

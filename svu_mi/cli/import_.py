@@ -1,7 +1,5 @@
 """``svu import``: conversion of captures of other tools to capture folders."""
 
-import contextlib
-import io
 import shlex
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -16,13 +14,14 @@ from tyro.conf import Positional, arg
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.cli.base_command import BaseCommand
-from svu_mi.cli.help import REGISTRY
+from svu_mi.cli.help import parsed
 from svu_mi.cli.loading import require_memory
 from svu_mi.cli.shared_options import Count, MapOptions, Number, Output, Overwrite
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
 from svu_mi.core.memory import Need
 from svu_mi.core.progress import Progress
+from svu_mi.errors import OptionError
 
 if TYPE_CHECKING:
     from svu_mi.capture.capture import Capture
@@ -170,13 +169,11 @@ def _parse_arguments(words: Any) -> Import | None:
         return None
     from svu_mi.capture.importers.axis_fixes import FIXES
 
-    config = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
     try:
-        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            command = tyro.cli(Import, args=words, config=config, registry=REGISTRY)
-    except SystemExit:
+        command, unknown = parsed("import", Import, words)
+    except OptionError:
         return None
-    return command if set(command.conversion.fixes) <= FIXES.keys() else None
+    return None if unknown or set(command.conversion.fixes) - FIXES.keys() else command
 
 
 def _without_reverted(fixes: Iterable[str]) -> tuple[str, ...]:

@@ -4,12 +4,11 @@ import difflib
 import errno
 import logging
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
-
-import tyro
 
 from svu_mi import __version__
 from svu_mi.cli.base_command import was_interrupted
@@ -22,7 +21,7 @@ from svu_mi.cli.doctor import Doctor
 from svu_mi.cli.entropy import Entropy
 from svu_mi.cli.export import Export
 from svu_mi.cli.guide import Guide
-from svu_mi.cli.help import REGISTRY, command_help, flags_of, overview
+from svu_mi.cli.help import OPTION, command_help, flags_of, overview, parsed
 from svu_mi.cli.import_ import Import
 from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
@@ -78,16 +77,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parse(name: str = "", *words: str) -> Any:
     """Return the command with this name, with options from the words after it.
 
-    Raises ``OptionError`` for an unknown name or option, and ``SystemExit`` for invalid values.
+    Raises ``OptionError`` for an unknown name or option, and for invalid values.
     """
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         remedy = f"did you mean {near[0]}?" if near else "svu --help lists the commands."
         raise OptionError(f"{excerpt(name)}: no such command; {remedy}" if name else remedy)
-    command, unknown = tyro.cli(
-        COMMANDS[name], prog=f"svu {name}", args=repeat_known(words), registry=REGISTRY,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), return_unknown_args=True,
-    )  # fmt: skip
+    command, unknown = parsed(name, COMMANDS[name], repeat_known(words))
     if unknown:
         raise OptionError(_unknown(name, unknown[0]))
     return command
@@ -98,7 +94,8 @@ def _unknown(name: str, word: str) -> str:
     option = excerpt(word.partition("=")[0])
     if not word.startswith("-"):
         return f"{excerpt(word)}: svu {name} takes no such argument; svu {name} --help lists all."
-    near = difflib.get_close_matches(option, flags_of(COMMANDS[name]), 1, SIMILAR)
+    known = re.findall(OPTION, " ".join(flags_of(COMMANDS[name])))
+    near = difflib.get_close_matches(option, known, 1, SIMILAR)
     remedy = f"did you mean {near[0]}?" if near else f"svu {name} --help lists all."
     return f"{option}: no such option of svu {name}; {remedy}"
 

@@ -61,10 +61,10 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 def mismatch(value: Any, annotation: Any) -> str | None:
     """Return the rest of a sentence, after a name, if a value has another type than annotated."""
     choices = _choices(annotation)
-    problems = [_item_mismatch(value, each) for each in choices if _fits(value, _bare(each))]
+    problems = [_item_mismatch(value, each) for each in choices if _fits(value, each)]
     if problems:
         return None if None in problems else problems[0]
-    kinds = [_bare(choice) for choice in choices if choice is not NoneType]
+    kinds = [get_origin(each) or each for each in choices if each is not NoneType]
     names = [kind.__name__ for kind in kinds if isinstance(kind, type)]
     words = list(dict.fromkeys(map(_words, kinds)))
     expected = " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
@@ -103,15 +103,11 @@ def _choices(annotation: Any) -> tuple[Any, ...]:
     return get_args(annotation) if origin is Literal else (annotation,)
 
 
-def _bare(annotation: Any) -> Any:
-    """Return a type without its parameters."""
-    return get_origin(annotation) or annotation
-
-
 def _fits(value: Any, choice: Any) -> bool:
     """Return whether a value has a type, or is a word; True if that cannot be tested."""
     if isinstance(choice, str):
         return isinstance(value, str) and value == choice
+    choice = get_origin(choice) or choice
     if choice is Any or not isinstance(choice, type) or getattr(choice, "_is_protocol", False):
         return True
     if isinstance(value, bool) and choice in (int, float):

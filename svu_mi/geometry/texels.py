@@ -1,6 +1,5 @@
 """Texels of a UV-mapped mesh as surface points."""
 
-import operator
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -231,14 +230,8 @@ def filled_image(texels: Texels, values: np.ndarray) -> np.ndarray:
 
 def size_of(resolution: Any) -> tuple[int, int]:
     """Return the (width, height) that one or two Python or NumPy integers specify."""
-    try:
-        sides = resolution if np.iterable(resolution) else (resolution, resolution)
-        width, height = (operator.index(side) for side in sides)
-    except (TypeError, ValueError) as error:
-        raise OptionError(
-            f"The texel grid's resolution must be one or two whole numbers, got {resolution!r}."
-        ) from error
-    return width, height
+    width, height = resolution if np.iterable(resolution) else (resolution, resolution)
+    return int(width), int(height)
 
 
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

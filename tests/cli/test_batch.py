@@ -368,14 +368,6 @@ def test_reserved_capture_names_are_refused(shelf_of, tmp_path, name):
     ("Aborted (core dumped)\n ─────\n\n", "Aborted (core dumped)"),
     ("", ""),
     ("╭─ Odd ─╮\n│ box   │\n╰───────╯\nsvu: the end.", "the end."),
-    ("""a line before
-╭─ Invalid choice ───────────────────────────────────────────────╮
-│ invalid choice 'bogus' for argument '--preset'. Expected one   │
-│ of ('default', 'fast').                                        │
-│ ────────────────────────────────────────────────────────────── │
-│ For full helptext, run svu entropy --help                      │
-╰────────────────────────────────────────────────────────────────╯
-""", "invalid choice 'bogus' for argument '--preset'. Expected one of ('default', 'fast')."),
 ])  # fmt: skip
 def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
     assert last_sentence(said) == sentence

@@ -33,8 +33,7 @@ ENTROPY = {"result": Field({"intervals": INTERVALS, "mean_entropy_of_seen": PART
 TRIES = 3  # if a command is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which also reaches the commands
 KILOBYTE = 1024
-# Boxes that tyro draws around option errors.
-CORNER, LAST_CORNER, RULE, BOX = "╭", "╯", "│ ─", "╭╮╰╯│─ "
+BOX = "╭╮╰╯│─ "  # characters around lines of rich
 DAY = 86400.0  # seconds
 SECONDS = 30  # timeout of a connection to a scheduler
 _one_at_a_time = threading.Lock()  # a worker runs one task per thread
@@ -300,14 +299,7 @@ class CommandPool:
 
 
 def last_sentence(said: str) -> str:
-    """Return the error message of a command: its last line, or the error in a final box.
-
-    Errors of options are wrapped in a box, above a line and a hint, which is omitted.
-    """
-    said = said.rstrip()
-    if said.endswith(LAST_CORNER):
-        text, _, _hint = said[said.rfind(CORNER) :].partition(RULE)
-        return " ".join(filter(None, (line.strip(BOX) for line in text.splitlines()[1:])))
+    """Return the error message of a command: its last line."""
     texts = [line.strip(BOX) for line in said.splitlines()]
     return next(filter(None, reversed(texts)), "").removeprefix("svu: ")
 
