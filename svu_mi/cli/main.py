@@ -183,4 +183,6 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 
 def _line(text: object) -> str:
-    return printable(" ".join(str(text).split()))
+    """Return a message as one line, with the path of the working directory instead of ``.``."""
+    line = printable(" ".join(str(text).split()))
+    return f"{printable(os.getcwd())}{line[1:]}" if line.startswith(".: ") else line

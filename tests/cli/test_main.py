@@ -262,6 +262,11 @@ def test_typing_errors_are_answered_for_the_same_command(capsys):
     assert fails(capsys) == "svu: svu --help lists the commands."
 
 
+def test_a_message_names_the_working_directory(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert fails(capsys, "check", ".").startswith(f"svu: {tmp_path}: neither a Mitsuba XML scene")
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
