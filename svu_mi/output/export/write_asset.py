@@ -61,10 +61,7 @@ class ExportOptions:
 
     def __post_init__(self) -> None:
         require_types(self)
-        known = all(name in FORMATS for name in self.formats)
-        require(
-            self, known and bool(self.formats), "formats", f"one or more of {', '.join(FORMATS)}"
-        )
+        require(self, bool(self.formats), "formats", f"one or more of {', '.join(FORMATS)}")
         require(self, self.bits in (8, 16), "bits", "8 or 16")
         fits = self.gutter is None or (type(self.gutter) is int and self.gutter >= 0)
         require(self, fits, "gutter", "None or a whole number, at least 0")
