@@ -39,8 +39,8 @@ from svu_mi.bench.study import figures, provenance, read_record, study_of
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "notebooks" / "benchmarks"
-# Estimators whose results are on the pages of the studies only, and simple maps.
-LESS = ("spectrum paper, relative noise",)
+# Estimators and photographs whose results are on the pages of the studies only, and simple maps.
+LESS = ("spectrum paper, relative noise", "black table")
 COMPARED = ("angular default", "angular fixed", "angular fast")  # in times
 SIMPLE = ("brightness", "number of views")
 Record = dict[str, Any]
@@ -169,7 +169,7 @@ def verdicts(record: Record) -> list[Row]:
 def reflections(record: Record) -> list[Row]:
     """Return PSNR and intervals of the parameters, and errors of radiance, for each light."""
     names = dict.fromkeys(name for case in record["cells"] for name in case["rows"])
-    found = {name: rows_of(record, name) for name in names}
+    found = {name: rows_of(record, name) for name in names if name not in LESS}
     return [
         [name, *(" / ".join(f"{mean(row[f'{what} {key}'] for row in rows):{form}}" for key in "rmc")
                  for what, form in (("psnr", ".1f"), ("interval", ".2f"))),
