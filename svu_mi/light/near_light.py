@@ -1,7 +1,7 @@
 """Light that arrives from other surfaces: shapes around the object, and the object itself."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -15,16 +15,23 @@ GOLDEN = (5**0.5 - 1) / 2
 SAMPLES, FEWEST, MOST = 2**22, 64, 128  # rays of all texels, and of each
 
 
+class Surfaces(Protocol):
+    """Surfaces around texels, such as ``NearSurfaces``."""
+
+    def radiance_along(self, origin: Any, direction: Any, active: Any) -> Any:
+        """Return the radiance of the first surface on each active ray, Color3f."""
+
+
 @dataclass(frozen=True)
 class NearLight:
     """Light from other surfaces at S texels.
 
     Attributes:
-        surfaces: Radiance of the surfaces (``NearSurfaces``), which lobes sample.
+        surfaces: The surfaces, which lobes sample.
         moments: Diffuse moments (``LightVisibility.diffuse``), 8 (S,) Floats for R, G and B.
     """
 
-    surfaces: Any
+    surfaces: Surfaces
     moments: list[list[Any]]
 
     def subset(self, lanes: np.ndarray) -> "NearLight":
@@ -33,8 +40,8 @@ class NearLight:
         return replace(self, moments=dr.gather(list, self.moments, chosen))
 
 
-def trace_near_light(surfaces: Any, surface: TexelLanes, rays: int | None = None) -> NearLight:
-    """Trace rays from texels to other surfaces (default: their number depends on the texels)."""
+def trace_near_light(surfaces: Surfaces, surface: TexelLanes, rays: int = 0) -> NearLight:
+    """Trace rays from texels to other surfaces (0: their number depends on that of the texels)."""
     count, sampler = surface.count, mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, 0), count)
     rays = rays or int(np.clip(SAMPLES // max(count, 1), FEWEST, MOST))

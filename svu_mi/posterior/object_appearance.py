@@ -17,11 +17,11 @@ from svu_mi.posterior.calibrated_fit import fit, problem_of
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.sample_statistics import sample_factors
 from svu_mi.presets import AngularPreset
+from svu_mi.reflection.near_surfaces import NearSurfaces, ShownObject
 from svu_mi.reflection.principled import diffuse_from_principled, specular_from_principled
 from svu_mi.reflection.reflection_model import ReflectionModel
 from svu_mi.reflection.render_model import prefiltered_model
 from svu_mi.reflection.roughness_levels import roughness_levels
-from svu_mi.reflection.shown_object import NearSurfaces, ShownObject
 from svu_mi.statistics.gather_statistics import Weighting
 
 if TYPE_CHECKING:
@@ -31,8 +31,17 @@ MOST = 2**12  # number of texels whose materials are estimated
 LEVELS = 8  # number of roughness levels of prefiltered light
 
 
-def shown_object(observed: "Observed", cells: int, *, alone: bool) -> NearSurfaces:
-    """Return the object, with the light of other shapes unless it is ``alone``."""
+def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:
+    """Return the surfaces whose light is modelled; the object is black without ``bounces``."""
+    shown, radiance = _shown_object(observed, switches.cells) if switches.bounces else (None, None)
+    capture = observed.capture
+    scene, integrator = surroundings(capture, radiance)
+    others = trace_panorama(capture, scene, integrator) if observed.has_reflectors else None
+    return NearSurfaces(scene, shown, others)
+
+
+def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, np.ndarray]:
+    """Return the object, and its mean radiance (H, W, 3), row 0 at v = 0."""
     switches = AngularPreset(cells=cells)
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
     chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
@@ -52,15 +61,13 @@ def shown_object(observed: "Observed", cells: int, *, alone: bool) -> NearSurfac
     color[unseen] *= photographed[~unseen].sum() / max(expected, np.finfo(np.float32).tiny)
     mean = np.where(unseen[:, None], _matte(color, metal, total, total), photographed)
     texels = observed.texels.subset(part.seen)
-    scene, integrator = surroundings(observed.capture, filled_image(texels, mean))
-    others = None if alone else trace_panorama(observed.capture, scene, integrator)
     # Lobes read no light of lamps.
     matte = _matte(color, metal, total, sum(of_lamps, np.zeros(3)))
     values = np.concatenate([matte, roughness, color, metal], axis=1).astype(np.float32)
     light = prefiltered_model(observed.distant_light, switches, LEVELS)
     flat = to_drjit(mi.Float, filled_image(texels, values).ravel())
-    shown = ShownObject(scene, light, flat, observed.texels.resolution, others)
-    return NearSurfaces(scene, shown, others)
+    shown = ShownObject(light, flat, observed.texels.resolution)
+    return shown, filled_image(texels, mean)
 
 
 def _estimated(part: "Observed", model: ReflectionModel) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import capture_key
 from svu_mi.capture.scene import environment_of, has_lamps, lamps_of, require_light
-from svu_mi.capture.surroundings import reflecting_shapes, surroundings
+from svu_mi.capture.surroundings import reflecting_shapes
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
@@ -43,19 +43,18 @@ from svu_mi.light.light_visibility import (
     trace_samples,
 )
 from svu_mi.light.near_light import NearLight, trace_near_light
-from svu_mi.light.panorama import trace_panorama
 from svu_mi.posterior.kept_results import (
     pack_light_visibility,
     pack_visibility,
     restore_light_visibility,
     restore_visibility,
 )
-from svu_mi.posterior.object_appearance import shown_object
+from svu_mi.posterior.object_appearance import near_surfaces
 from svu_mi.posterior.sample_statistics import sample_statistics
 from svu_mi.presets import AngularPreset, AnyPreset, Preset, Skip
+from svu_mi.reflection.near_surfaces import NearSurfaces
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.reflection_model import IncidentLight, ReflectionModel
-from svu_mi.reflection.shown_object import NearSurfaces
 from svu_mi.statistics.gather_statistics import UNIFORM, Weighting, rounding_sums
 from svu_mi.statistics.statistics import Statistics
 
@@ -225,7 +224,8 @@ class Observed:
         return known
 
     @cached_property
-    def _has_reflectors(self) -> bool:
+    def has_reflectors(self) -> bool:
+        """True if other shapes reflect light onto the object."""
         return bool(reflecting_shapes(self.capture.scene, self.capture.shape))
 
     def trace_light(self, switches: AngularPreset) -> None:
@@ -252,13 +252,8 @@ class Observed:
                 "--bounces."
             )
         key = "around", switches.bounces
-        if key not in self._of_light and switches.bounces:
-            alone = not self._has_reflectors
-            self._of_light[key] = shown_object(self, switches.cells, alone=alone)
-        elif key not in self._of_light:
-            scene, integrator = surroundings(self.capture, None)
-            others = trace_panorama(self.capture, scene, integrator)
-            self._of_light[key] = NearSurfaces(scene, None, others)
+        if key not in self._of_light:
+            self._of_light[key] = near_surfaces(self, switches)
         surfaces: NearSurfaces = self._of_light[key]
         return surfaces
 
@@ -276,7 +271,7 @@ class Observed:
         """Return whether light from other surfaces is modelled, and there is some."""
         if not isinstance(switches, AngularPreset) or not switches.with_surfaces:
             return False
-        return switches.bounces or self._has_reflectors
+        return switches.bounces or self.has_reflectors
 
     def grey_light(self, switches: AnyPreset) -> bool:
         """Return whether R, G and B of the light are equal; other light than distant is not."""

@@ -26,13 +26,13 @@ from svu_mi.light.band_limited import band_limited_lighting, lat_long_texture
 from svu_mi.light.environment import read_environment
 from svu_mi.light.near_light import trace_near_light
 from svu_mi.light.panorama import Panorama, trace_panorama
-from svu_mi.posterior.object_appearance import shown_object
+from svu_mi.posterior.object_appearance import near_surfaces
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection import near_lobes
 from svu_mi.reflection.near_lobes import NearLobes
+from svu_mi.reflection.near_surfaces import NearSurfaces, ShownObject
 from svu_mi.reflection.render_model import prefiltered_model
-from svu_mi.reflection.shown_object import NearSurfaces, ShownObject
 
 ANGLE = 0.7  # between the axis and the rim of the disk
 RADIANCE = np.array([1.0, 2.0, 0.5])
@@ -144,7 +144,7 @@ def test_an_object_photographed_from_above_looks_from_below_as_it_does(tmp_path)
     capture = memory_capture(scene, images, sensors, shape=ball, mesh=ball)
     observed = observe(capture, svu.texels(ball, 32))
     assert 0.2 < (observed.coverage == 0).mean() < 0.6
-    likeness = shown_object(observed, 1024, alone=True).scene
+    likeness = near_surfaces(observed, preset("default", bounces=True)).scene
     below = sphere_sensors(ball, 3, (12, 12))[2]
     real, found = (
         np.array(mi.render(each, sensor=below, integrator=mi.load_dict(PATH), spp=256))
@@ -177,11 +177,12 @@ def test_a_shown_object_looks_as_path_traced(tmp_path, roughness):
     )
     light = observe(capture, svu.texels(ball, 8)).distant_light
     black, _ = surroundings(capture, np.zeros((8, 8, 3)))
-    shown = ShownObject(black, prefiltered_model(light, angular(), 16), golden(roughness), (1, 1))
+    shown = ShownObject(prefiltered_model(light, angular(), 16), golden(roughness), (1, 1))
+    surfaces = NearSurfaces(black, shown, None)
     toward, paths = to_drjit(mi.Vector3f, fibonacci(200).T.astype(np.float32)), 4096
     ray = mi.Ray3f(4 * toward, dr.normalize(mi.Vector3f(0.2, 0.1, -0.2) - 4 * toward))
     met = black.ray_intersect_preliminary(ray)
-    found = shown.radiance(ray, met, met.is_valid()).numpy()
+    found = surfaces.radiance_along(ray.o, ray.d, met.is_valid()).numpy()
     random = mi.load_dict({"type": "independent"})
     random.seed(7, 200 * paths)
     many = dr.gather(mi.Ray3f, ray, dr.repeat(dr.arange(mi.UInt32, 200), paths))
@@ -199,11 +200,11 @@ def test_mirror_rays_of_a_shown_object_meet_it():
     scene = emitting("sphere", flip_normals=True, radius=1.0)
     sky = read_environment(mi.load_dict({"type": "constant", "radiance": 7.0}))
     light = prefiltered_model(band_limited_lighting(sky, 9), angular(), 16)
-    shown, count = ShownObject(scene, light, golden(0.5), (1, 1)), 4096
+    surfaces, count = NearSurfaces(scene, ShownObject(light, golden(0.5), (1, 1)), None), 4096
     toward = to_drjit(mi.Vector3f, fibonacci(count).T.astype(np.float32))
     ray = mi.Ray3f(mi.Point3f(0, 0, 0.3), toward)
     hit, every = scene.ray_intersect(ray), mi.Bool(True)
-    found = shown.radiance(ray, scene.ray_intersect_preliminary(ray), every).numpy()
+    found = surfaces.radiance_along(ray.o, ray.d, every).numpy()
     metal = mi.load_dict({
         "type": "principled", "base_color": {"type": "rgb", "value": GOLD}, "metallic": 1.0,
         "roughness": 0.5,
@@ -232,13 +233,13 @@ def test_a_shown_object_mirrors_sky_and_table():
     around = Panorama(mi.Point3f(0), lat_long_texture(np.full((9, 16, 4), [*table, 1.0])))
     diffuse, roughness, metallic = np.array([0.1, 0.2, 0.3]), 0.6, 0.3
     values = mi.Float([*diffuse, roughness, *GOLD, metallic])
-    shown = ShownObject(scene, prefiltered_model(light, angular(), 16), values, (1, 1), around)
+    shown = ShownObject(prefiltered_model(light, angular(), 16), values, (1, 1))
     start = 3 * fibonacci(60)
     toward = np.array([0.4, -0.3, 0.5]) - start
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     ray = mi.Ray3f(*(to_drjit(mi.Vector3f, x.T.astype(np.float32)) for x in (start, toward)))
-    met = scene.ray_intersect_preliminary(ray)
-    found = shown.radiance(ray, met, mi.Bool(True)).numpy().T
+    surfaces = NearSurfaces(scene, shown, around)
+    found = surfaces.radiance_along(ray.o, ray.d, mi.Bool(True)).numpy().T
     along = (start * toward).sum(axis=1)
     normal = start - (along + np.sqrt(along**2 - 8))[:, None] * toward  # on the unit sphere
     cosine = -(normal * toward).sum(axis=1)

@@ -1,0 +1,95 @@
+"""Radiance of surfaces around texels: other shapes, and the object itself.
+
+The object is shaded by materials estimated from the photographs. Rays that hit it read the diffuse
+radiance of the nearest texel, and the light in the lobe around the mirror direction. Where that
+meets the object again, texels look alike from all sides.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.geometry.sample_view import mirror_direction
+from svu_mi.light.panorama import Panorama
+from svu_mi.reflection.mix_columns import mixed_radiance
+from svu_mi.reflection.render_model import PrefilteredModel, lobe_light
+
+
+@dataclass(frozen=True)
+class ShownObject:
+    """Materials of the object's texels.
+
+    Attributes:
+        light: distant light and lobes.
+        values: (8 W H,) Float: radiance (3) without lobes, roughness, base colour (3) and metallic
+            of each texel, row 0 at v = 0.
+        size: Width and height.
+    """
+
+    light: PrefilteredModel
+    values: Any
+    size: tuple[int, int]
+
+    def at(self, uv: Any) -> tuple[Any, ...]:
+        """Return radiance and roughness, and base colour and metallic, a Vector4f each."""
+        x, y = (dr.clip(mi.Int32(dr.floor(place * count)), 0, count - 1)
+                for place, count in zip(uv, self.size, strict=True))  # fmt: skip
+        texel = mi.UInt32(y * self.size[0] + x)
+        return tuple(dr.gather(mi.Vector4f, self.values, 2 * texel + k) for k in (0, 1))
+
+
+@dataclass(frozen=True)
+class NearSurfaces:
+    """The first shape of a scene, which is the object, and other shapes.
+
+    Attributes:
+        shown: The object, which then emits its mean radiance in ``scene``; None if it is black.
+        others: Light of other shapes; None if they are black.
+    """
+
+    scene: Any
+    shown: ShownObject | None
+    others: Panorama | None
+
+    def radiance_along(self, origin: Any, direction: Any, active: Any) -> Any:
+        """Return the radiance of the first surface on each active ray, Color3f; lamps are black."""
+        ray = mi.Ray3f(origin, direction)
+        met = self.scene.ray_intersect_preliminary(ray, False, active)
+        hits, itself = active & met.is_valid(), self._is_object(met)
+        color = mi.Color3f(0)
+        if self.shown is not None:
+            color += dr.if_stmt((ray, met), hits & itself, self._shaded, lambda *_: mi.Color3f(0))
+        return color + self._of_others(ray(met.t), met, hits)
+
+    def _shaded(self, ray: Any, met: Any) -> Any:
+        """Return the radiance of hits of the object toward the origins of rays, Color3f."""
+        assert self.shown is not None
+        hit = met.compute_surface_interaction(ray, mi.RayFlags.All)
+        toward, normal = -ray.d, mi.Vector3f(hit.sh_frame.n)
+        front = dr.dot(hit.n, toward) > 0
+        diffuse, paint = self.shown.at(hit.uv)
+        light, (A, B, D) = lobe_light(self.shown.light, diffuse.w, normal, toward)
+        mirror = mirror_direction(normal, toward)
+        up = front & (dr.dot(hit.n, mirror) > 0)
+        behind = self.scene.ray_intersect(hit.spawn_ray(mirror), mi.RayFlags.UV, False, up)
+        met = up & behind.is_valid()
+        glow = self.scene.shapes()[0].emitter().eval(behind, met & self._is_object(behind))
+        glow += self._of_others(behind.p, behind, met)
+        light = [dr.select(met, own, dr.select(up, distant, 0))
+                 for own, distant in zip(glow, light, strict=True)]  # fmt: skip
+        parts = [(mi.Float(0), A * value, B * value, D * value) for value in light]
+        shine = mixed_radiance(parts, [paint.x, paint.y, paint.z], [paint.w])
+        color = mi.Color3f(diffuse.x, diffuse.y, diffuse.z) + mi.Color3f(*shine)
+        return dr.select(front, color, 0)
+
+    def _of_others(self, point: Any, met: Any, active: Any) -> Any:
+        """Return the radiance of hits of other shapes; lamps are sampled directly."""
+        if self.others is None:
+            return mi.Color3f(0)
+        lit = active & ~self._is_object(met) & ~met.shape.is_emitter()
+        return self.others.radiance(point, lit)
+
+    def _is_object(self, met: Any) -> Any:
+        return met.shape == mi.ShapePtr(self.scene.shapes()[0])
