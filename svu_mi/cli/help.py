@@ -1,16 +1,14 @@
-"""Options of commands: reading of words, and ``--help`` with options in order of use."""
+"""``--help``: commands in groups, options in order of use, texts wrapped to the terminal."""
 
-import contextlib
 import dataclasses
 import functools
 import inspect
-import io
 import operator
 import re
 import shutil
 import textwrap
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import docstring_parser
@@ -21,8 +19,6 @@ from tyro.constructors import (
     PrimitiveTypeInfo,
     UnsupportedTypeAnnotationError,
 )
-
-from svu_mi.errors import OptionError
 
 REGISTRY = ConstructorRegistry()
 OPTION = r"--[a-z][a-z-]*"
@@ -91,30 +87,6 @@ def command_help(name: str, command: Any) -> str:
     listed = ["\n".join([f"{title}:", *group.values()]) for title, group in groups.items() if group]
     usage = [_wrap(" ".join([*usage, "[OPTIONS]"])), *map(_wrap, _summary(command))]
     return "\n\n".join(usage + listed)
-
-
-def parsed(name: str, command: Any, words: Sequence[str]) -> tuple[Any, list[str]]:
-    """Return a command with options from words, and unknown words; raise for invalid values."""
-    printed = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
-            return tyro.cli(  # type: ignore[return-value]
-                command, prog=f"svu {name}", args=words, registry=REGISTRY,
-                config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
-                return_unknown_args=True,
-            )  # fmt: skip
-    except SystemExit:
-        raise OptionError(_refusal(name, flags_of(command), printed.getvalue())) from None
-
-
-def _refusal(name: str, flags: Sequence[str], printed: str) -> str:
-    """Return a sentence about the option that tyro's error message, ``printed``, names first."""
-    option = re.findall(OPTION, printed)[0]
-    named = [each for each in flags if option in re.findall(OPTION, each)]
-    problem = " ".join([f"svu {name} needs", *(f for f in flags if f[0] != "-"), *named])
-    if named and "Missing from" not in printed:
-        problem = f"{option} takes{named[0].split(option)[1]}"
-    return f"{problem}; svu {name} --help explains it."
 
 
 def flags_of(command: Any) -> list[str]:

@@ -14,8 +14,8 @@ from tyro.conf import Positional, arg
 from svu_mi.capture.importers.import_options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.capture.importers.registry import ReadOptions, read_source
 from svu_mi.cli.base_command import BaseCommand
-from svu_mi.cli.help import parsed
 from svu_mi.cli.loading import require_memory
+from svu_mi.cli.parse_options import parse_options
 from svu_mi.cli.shared_options import Count, MapOptions, Number, Output, Overwrite
 from svu_mi.cli.streams import print_line
 from svu_mi.core.io.output_folder import Claim, claimed
@@ -170,7 +170,7 @@ def _parse_arguments(words: Any) -> Import | None:
     from svu_mi.capture.importers.axis_fixes import FIXES
 
     try:
-        command, unknown = parsed("import", Import, words)
+        command, unknown = parse_options("import", Import, words)
     except OptionError:
         return None
     return None if unknown or set(command.conversion.fixes) - FIXES.keys() else command

@@ -21,11 +21,12 @@ from svu_mi.cli.doctor import Doctor
 from svu_mi.cli.entropy import Entropy
 from svu_mi.cli.export import Export
 from svu_mi.cli.guide import Guide
-from svu_mi.cli.help import OPTION, command_help, flags_of, overview, parsed
+from svu_mi.cli.help import OPTION, command_help, flags_of, overview
 from svu_mi.cli.import_ import Import
 from svu_mi.cli.inpaint import Inpaint
 from svu_mi.cli.light import FindLight
 from svu_mi.cli.matplotlib_setup import import_matplotlib
+from svu_mi.cli.parse_options import parse_options
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.refine import Refine
 from svu_mi.cli.relight import Relight
@@ -83,7 +84,7 @@ def parse(name: str = "", *words: str) -> Any:
         near = difflib.get_close_matches(name, COMMANDS, 1)
         remedy = f"did you mean {near[0]}?" if near else "svu --help lists the commands."
         raise OptionError(f"{excerpt(name)}: no such command; {remedy}" if name else remedy)
-    command, unknown = parsed(name, COMMANDS[name], repeat_known(words))
+    command, unknown = parse_options(name, COMMANDS[name], repeat_known(words))
     if unknown:
         raise OptionError(_unknown(name, unknown[0]))
     return command
