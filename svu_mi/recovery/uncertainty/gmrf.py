@@ -14,6 +14,7 @@ solution on groups of 2 x 2 texels (nested iteration [Hackbusch 1985]).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -121,6 +122,17 @@ class Smoother:
     def links(self) -> np.ndarray:
         """Diagonal of K, the sum of the link weights of each texel, (N, T) float64."""
         return self._table(self.diagonal - self.own)
+
+    @cached_property
+    def squared_steps(self) -> np.ndarray:
+        """Mean squared difference of x0 between each texel and its neighbours, (N, T) float64."""
+
+        def added(other: Any, sums: Any) -> Any:
+            apart = self.start - dr.gather(mi.Float, self.start, other)
+            return dr.fma(apart, apart, sums[0]), sums[1] + 1
+
+        total, number = over_neighbors(self.lanes, added, (mi.Float(0), mi.Float(0)))
+        return self._table(total / dr.maximum(number, 1))
 
     def solve(self, right: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """Solve (D + K) x = right, (N, T), by conjugate gradients [Hestenes and Stiefel 1952]."""

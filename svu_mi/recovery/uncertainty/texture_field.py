@@ -190,7 +190,7 @@ class TextureField:
         )  # fmt: skip
         left, a = np.square(solved["left"]), _by_row(DISAGREEMENT, DISAGREEMENT_MIXED)
         square = left + a * np.square(solved["apart"])
-        steps = np.sqrt(self._squared_steps[:, self.seen]).sum(axis=1, keepdims=True)
+        steps = np.sqrt(self.smoother.squared_steps[:, self.seen]).sum(axis=1, keepdims=True)
         size = np.maximum(self.texels.footprint.numpy()[self.seen].sum(), TINY)
         varies = np.maximum(REACH * self.texels.extent / size * steps, TINY)
         varies = np.where(self.seen, varies, np.inf)
@@ -232,7 +232,7 @@ class TextureField:
     @cached_property
     def _unclipped_sd(self) -> np.ndarray:
         """``width`` without the common scale of base colour."""
-        sd = np.sqrt(np.square(self._own_sd) + EDGE * self._squared_steps)
+        sd = np.sqrt(np.square(self._own_sd) + EDGE * self.smoother.squared_steps)
         width = clipped_normal.width_of(self.values, sd)
         if self.min_width is None:
             return width
@@ -250,17 +250,6 @@ class TextureField:
     def common(self) -> np.ndarray:
         """Correlated share rho of the variance, (N, T); 1 for unseen texels."""
         return np.where(self.seen, _by_row(COMMON, COMMON_MIXED), 1.0).astype(np.float32)
-
-    @cached_property
-    def _squared_steps(self) -> np.ndarray:
-        """Mean squared difference h^2 between each texel and its neighbours, (N, T)."""
-        x0 = self.smoother.values  # before filling
-        own, total, number = np.arange(x0.shape[1]), np.zeros_like(x0), np.zeros(x0.shape[1])
-        for column in self.smoother.around:
-            other = np.array(column, np.int64)  # the texel itself in place of a missing neighbour
-            total += np.square(x0[:, other] - x0)
-            number += other != own
-        return total / np.maximum(number, 1)
 
     @cached_property
     def _own_sd(self) -> np.ndarray:
