@@ -309,7 +309,7 @@ def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[P
     """Return the files of the requested views; None for the others."""
     if views is None:
         return list(paths)
-    chosen = set(indices_of(views, len(paths), "load_capture()", "view").tolist())
+    chosen = set(indices_of(list(views), len(paths), "load_capture()", "view").tolist())
     return [path if view in chosen else None for view, path in enumerate(paths)]
 
 

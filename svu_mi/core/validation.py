@@ -103,13 +103,13 @@ def require_views(count: int, what: str, error: type[SvuError] = OptionError) ->
         raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; use fewer.")
 
 
-def indices_of(numbers: Iterable[Any], count: int, label: str, noun: str) -> np.ndarray:
+def indices_of(numbers: Any, count: int, label: str, noun: str) -> np.ndarray:
     """Return indices below ``count``, int64, given as such or as flags, one per ``noun``.
 
     Raises:
         OptionError: an index is out of range, or there are fewer or more flags than ``count``.
     """
-    given = np.array(list(numbers))
+    given = np.ravel(numbers)
     if given.dtype == bool and len(given) != count:
         raise OptionError(f"{label}: {len(given)} flags for {count} {noun}s; give one per {noun}.")
     if given.dtype == bool:

@@ -359,7 +359,7 @@ class Posterior(Generic[K]):
         return _tensor(np.maximum(divergence, 0) / self.channels)
 
     def _indices(self, chosen: Any) -> np.ndarray:
-        return indices_of(np.ravel(chosen), self.count, "Posterior", "texel")
+        return indices_of(chosen, self.count, "Posterior", "texel")
 
     def _check_parameter(self, name: str) -> None:
         if name not in list(self.axes):

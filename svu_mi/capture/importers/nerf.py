@@ -21,8 +21,8 @@ from svu_mi.capture.importers.source_files import (
     find_file,
     find_folder,
     find_mask,
-    find_masks,
     relative_name,
+    require_masks,
     substitutions,
 )
 from svu_mi.core.io.files import read_json, refusing, write_json
@@ -127,8 +127,7 @@ def read_transforms(
         parse_frame(record, frames[k], path.parent, f"{path}: frame {k}", before, usual, folders)
         for k in numbers
     ]
-    if not any(frame.mask for frame in read):  # raises if a folder of masks is given
-        find_masks(folders[1], [frame.image for frame in read])
+    require_masks(folders[1], [frame.mask for frame in read], [frame.image for frame in read])
     for key, attribute, folder in (("file_path", "image", 0), ("mask_path", "mask", 1)):
         files = [getattr(frame, attribute) for frame in read]
         named = zip([frames[k].get(key) for k in numbers], files, strict=True)

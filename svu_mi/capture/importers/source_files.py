@@ -223,12 +223,17 @@ def find_mask(folder: Path, name: Path) -> Path | None:
 def find_masks(folder: Path | None, names: Sequence[Path]) -> list[Path | None]:
     """Return the masks of photographs (see ``find_mask``); raise if the folder has none of them."""
     masks = [None if folder is None else find_mask(folder, name) for name in names]
+    require_masks(folder, masks, names)
+    return masks
+
+
+def require_masks(folder: Path | None, masks: Sequence[Any], names: Sequence[Path]) -> None:
+    """Raise if a given folder has the mask of no photograph."""
     if folder is not None and not any(masks):
         raise CaptureError(
             f"{folder}: has no mask of {names[0].name} or any other photograph; name masks like "
             "their photographs, or a_mask.png for a.jpg, or give their folder with --masks."
         )
-    return masks
 
 
 def read_lines(path: Path, what: str, fix: str) -> Iterator[tuple[int, str]]:

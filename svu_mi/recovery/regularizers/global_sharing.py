@@ -125,7 +125,7 @@ class GlobalSharing(Regularizer):
     def _chosen_seeds(self) -> np.ndarray:
         """Return the texel indices of the seeds, (S,) int64."""
         if not isinstance(self.seeds, (int, np.integer)):
-            chosen = indices_of(np.ravel(self.seeds), self.texels.count, "GlobalSharing", "texel")
+            chosen = indices_of(self.seeds, self.texels.count, "GlobalSharing", "texel")
             return chosen[np.sort(np.unique(chosen, return_index=True)[1])]
         if self.seeds < 1:
             raise OptionError(f"GlobalSharing: seeds must be at least 1, got {self.seeds}.")
