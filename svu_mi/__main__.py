@@ -4,33 +4,27 @@ import os
 import signal
 import sys
 from contextlib import suppress
-from typing import Any
+
+from svu_mi.core.interrupts import raise_after_imports
+
+INTERRUPTED = 130  # exit status after Ctrl-C
 
 
 def main() -> int:
     """Run ``svu``; Ctrl-C ends it with a one-line message, also during imports."""
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if usual:
-        signal.signal(signal.SIGINT, _stop)
-    from svu_mi.cli.main import main as run
-
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, raise_after_imports)
     try:
-        if usual:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-        return run()
+        from svu_mi.cli.main import main as run
+
+        status = run()
     except KeyboardInterrupt:
-        return _interrupted()
-
-
-def _stop(*_: Any) -> None:
-    """End the process immediately; an exception would print a traceback of the imports."""
-    os._exit(_interrupted())
-
-
-def _interrupted() -> int:
-    with suppress(OSError):  # stderr may be closed
-        os.write(2, b"svu: interrupted\n")
-    return 130
+        status = INTERRUPTED
+        with suppress(OSError):  # stderr may be closed
+            os.write(2, b"svu: interrupted\n")
+    if status == INTERRUPTED:  # half-imported C++ modules may abort at a regular exit
+        os._exit(status)
+    return status
 
 
 if __name__ == "__main__":

@@ -1,13 +1,31 @@
-"""Deferral of Ctrl-C to the end of a step.
+"""Deferral of Ctrl-C to the end of a step, or of the import of a C++ module.
 
 Within custom operations and recorded loops, Dr.Jit replaces a ``KeyboardInterrupt`` by another
-exception. An interrupt that is raised while C++ calls Python is lost.
+exception. An interrupt that is raised while C++ calls Python is lost, or aborts the process.
 """
 
+import _thread
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
+
+WAIT = 0.02  # seconds until it is tested again whether an import has ended
+
+
+def raise_after_imports(number: int, frame: FrameType | None) -> None:
+    """Raise ``KeyboardInterrupt`` when no C++ module is being imported; a handler of SIGINT."""
+    del number
+    while frame is not None:
+        if isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
+            again = threading.Timer(WAIT, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 @contextmanager
@@ -16,7 +34,7 @@ def between_steps() -> Iterator[Callable[[], None]]:
 
     Yields:
         Function that raises the deferred ``KeyboardInterrupt``, if any. Nothing is deferred
-        outside of the main thread, or if SIGINT has a handler other than Python's default.
+        outside of the main thread, or if SIGINT has a handler other than Python's and ours.
     """
     pressed = False
 
@@ -31,12 +49,13 @@ def between_steps() -> Iterator[Callable[[], None]]:
         if pressed:
             raise KeyboardInterrupt
 
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not usual or threading.current_thread() is not threading.main_thread():
+    usual = signal.getsignal(signal.SIGINT)
+    is_known = usual in (signal.default_int_handler, raise_after_imports)
+    if not is_known or threading.current_thread() is not threading.main_thread():
         yield answer
         return
     signal.signal(signal.SIGINT, remember)
     try:
         yield answer
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, usual)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+import time
+from importlib.machinery import ExtensionFileLoader
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -14,7 +16,7 @@ from support.helpers import fails, last_line, names, run, sensor_xml, write_scen
 
 from svu_mi import scenes
 from svu_mi.cli.base_command import was_interrupted
-from svu_mi.core.interrupts import between_steps
+from svu_mi.core.interrupts import between_steps, raise_after_imports
 from svu_mi.core.io.exr import read_exr, write_exr
 from svu_mi.core.io.folder_exchange import DRAFT, beside
 from svu_mi.core.io.output_folder import CHECKPOINT
@@ -214,6 +216,28 @@ def test_ctrl_c_waits_for_the_end_of_a_step(ctrl_c):
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
         raise AssertionError("the second one was held back, too")
+
+
+def test_ctrl_c_waits_for_the_end_of_an_import(ctrl_c):
+    class Loader(ExtensionFileLoader):
+        def exec_module(self, module):
+            signal.raise_signal(signal.SIGINT)
+            time.sleep(0.1)
+            ended.append(module)
+
+    ended = []
+    signal.signal(signal.SIGINT, raise_after_imports)
+    with pytest.raises(KeyboardInterrupt):
+        Loader("name", "path").exec_module("module")
+        for _ in range(1000):
+            time.sleep(0.01)
+    assert ended == ["module"]
+    with pytest.raises(KeyboardInterrupt), between_steps() as answer:
+        signal.raise_signal(signal.SIGINT)
+        answer()
+    assert signal.getsignal(signal.SIGINT) is raise_after_imports
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 BAD = {
