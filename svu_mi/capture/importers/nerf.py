@@ -110,14 +110,18 @@ def read_transforms(
     """
     path = Path(path)
     record, frames, applied = read_poses(path)
-    numbers, left_out = _of_split(record, frames, split, path, folders[0])
+    images = [
+        _image_path(path.parent, frame.get("file_path"), f"{path}: frame {k}", folders[0])
+        for k, frame in enumerate(frames)
+    ]
+    numbers, left_out = _of_split(record, images, split, path, folders[0])
     if original_world and applied.scale != 1:
         raise OptionError(
             f"{path}: has an applied_scale of {applied.scale:g}, which --original-world does not "
             "undo; omit that option, and give a mesh in the world of the poses."
         )
     before = np.linalg.inv(applied.transform) if original_world else np.eye(4)
-    usual = _default_size(path, record, frames, folders[0])
+    usual = next((image for image in images if image.is_file()), None)  # its size is that of all
     unchanged = np.allclose(applied.transform, np.eye(4)) and applied.scale == 1
     notes = [] if original_world or unchanged else [
         f"{path}: has an applied_transform or applied_scale; poses are in the world after it. "
@@ -144,7 +148,7 @@ def read_transforms(
 
 
 def _of_split(
-    record: Mapping[str, Any], frames: Sequence[Any], split: str, path: Path, folder: Path | None
+    record: Mapping[str, Any], images: Sequence[Path], split: str, path: Path, folder: Path | None
 ) -> tuple[Sequence[int], list[str]]:
     """Return the numbers of the frames of a split, and a note about others.
 
@@ -153,26 +157,22 @@ def _of_split(
     """
     lists = [name for name in (f"{part}{LISTED}" for part in SPLITS) if name in record]
     if split == ALL or not lists:
-        return range(len(frames)), []
+        return range(len(images)), []
     key = f"{split}{LISTED}"
     if key not in lists:
         raise OptionError(f"{path}: has {', '.join(lists)}, but no {key}; use another --split.")
     with refusing(path, f"correct it there, or import all photographs with --split {ALL}"):
         names = checked(record, {key: Field(TEXT, (ITEMS,))})[key]
         wanted = {_image_path(path.parent, name, f"{path}: {key}", folder) for name in names}
-        images = [
-            _image_path(path.parent, frame.get("file_path"), f"{path}: frame {k}", folder)
-            for k, frame in enumerate(frames)
-        ]
         if unknown := wanted - set(images):
             name = excerpt(relative_name(path.parent, min(unknown)), 40)
             raise ValueError(f"{key} contains {name}, which has no pose")
         numbers = [k for k, image in enumerate(images) if image in wanted]
         if not numbers:
             raise ValueError(f"{key} is empty")
-    count = len(frames) - len(numbers)
+    count = len(images) - len(numbers)
     return numbers, [
-        f"{path}: {count} of {len(frames)} photographs {are(count)} not in {key} and left out; "
+        f"{path}: {count} of {len(images)} photographs {are(count)} not in {key} and left out; "
         f"import all of them with --split {ALL}."
     ] if count else []
 
@@ -216,12 +216,12 @@ def _matrix(value: Any) -> np.ndarray:
 
 def parse_frame(
     record: Mapping[str, Any], given: Mapping[str, Any], root: Path, label: str,
-    before: np.ndarray, usual: tuple[int, int] | None = None, folders: Folders = (None, None),
+    before: np.ndarray, usual: Path | None = None, folders: Folders = (None, None),
 ) -> Frame:  # fmt: skip
     """Read one frame, ``given``, with the common values of ``record``.
 
     Paths are relative to ``root`` or looked for in ``folders``, the pose is multiplied by
-    ``before`` (4, 4) from the left, and ``usual`` is the size of a missing photograph.
+    ``before`` (4, 4) from the left, and ``usual`` has the size of a missing photograph.
     """
     with refusing(label, "a frame needs transform_matrix, w, h, and fl_x or camera_angle_x"):
         both = {**record, **given}
@@ -267,40 +267,16 @@ def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
     return Lens(**dict(zip(COEFFICIENTS, numbers, strict=True))) if any(numbers) else None
 
 
-def _size(known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None) -> tuple[int, int]:
+def _size(known: Mapping[str, Any], image: Path, usual: Path | None) -> tuple[int, int]:
     sides = known["w"], known["h"]
     if None not in sides:
         return int(sides[0]), int(sides[1])
     if sides != (None, None) or known["file_path"] is None:
         raise ValueError("w or h is missing")
-    return usual if usual is not None and not image.is_file() else open_image(image).size
-
-
-def _has_size(known: Mapping[str, Any]) -> bool:
-    return "w" in known or "h" in known
-
-
-def _default_size(
-    path: Path, record: Mapping[str, Any], frames: Sequence[Any], folder: Path | None
-) -> tuple[int, int] | None:
-    """Return the size of the first photograph that exists, for frames without a size."""
-    named = {
-        k: frame["file_path"] for k, frame in enumerate(frames)
-        if "file_path" in frame and not _has_size(frame)
-    }  # fmt: skip
-    if _has_size(record) or not named:
-        return None
-    label = f"{path}: frame "
-    images = [
-        _image_path(path.parent, name, f"{label}{index}", folder) for index, name in named.items()
-    ]
-    first = next((image for image in images if image.is_file()), None)
-    if first is not None:
-        return open_image(first).size
-    raise CaptureError(
-        f"{path}: {len(named)} of {len(frames)} photographs {are(len(named))} missing, first "
-        f"{relative_name(path.parent, images[0])}; move them to the paths in the poses."
-    )
+    file = image if image.is_file() else usual
+    if file is None:
+        raise CaptureError(f"{image}: no such photograph; move all to the paths in the poses.")
+    return open_image(file).size
 
 
 def _focal(known: Mapping[str, Any], axis: str, side: int) -> float | None:

@@ -840,7 +840,7 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
     (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
     assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
     frame.image.unlink()
-    with pytest.raises(CaptureError, match="1 of 1 photographs is missing, first train/r_0; move"):
+    with pytest.raises(CaptureError, match="train/r_0: no such photograph; move all to"):
         read_source(tmp_path)
 
 
