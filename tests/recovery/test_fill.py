@@ -254,6 +254,14 @@ def test_filling_is_never_worse_than_tv_on_held_out_parts() -> None:
         assert set(title for title, weight in none.items() if weight > 0) <= set(MEAN_WEIGHTS)
 
 
+def test_predictors_of_invisible_weight_are_not_evaluated() -> None:
+    errors = np.full((2, len(TITLES), 40), 0.4)
+    errors[:, : len(MEAN_WEIGHTS)] = 0.1  # by total variation
+    judged = judged_of(errors)
+    assert 0 < judged.share < TOLERANCE
+    assert {title for title, weight in judged.weights().items() if weight} == set(MEAN_WEIGHTS)
+
+
 def test_better_predictors_get_larger_weights() -> None:
     errors = np.full((2, len(TITLES), 40), 0.4)
     errors[:, TITLES.index("turned about y")] = 0.1

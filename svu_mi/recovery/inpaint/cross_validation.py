@@ -146,8 +146,9 @@ class PredictorErrors:
         return float(min(((h + np.sqrt(h**2 + TOLERANCE**2 * d)) / d).min(), 1))
 
     def weights(self, max_share: float = 1.0) -> dict[str, float]:
-        """Return weights by title of the predictor; ``share`` is limited to ``max_share``."""
+        """Return weights by title; the share is at most ``max_share``, and 0 below TOLERANCE."""
         share = min(self.share, max_share)
+        share *= share >= TOLERANCE  # fills change by less; other predictors are not evaluated
         weights = self.tv_weights + share * (self.all_weights - self.tv_weights)
         return dict(zip(TITLES, weights.tolist(), strict=True))
 
