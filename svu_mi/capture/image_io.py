@@ -119,7 +119,8 @@ def open_image(path: Path) -> ImageFile:
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
     if path.suffix.lower() not in SUFFIXES:
-        raise CaptureError(f"{path}: not a supported image format ({', '.join(SUFFIXES)}).")
+        kinds = ", ".join(SUFFIXES)
+        raise CaptureError(f"{path}: not a supported image format ({kinds}); convert it to PNG.")
     with _readable(path):
         name = format_of(path) or ("EXR" if path.suffix.lower() == ".exr" else None)
         if name is None:

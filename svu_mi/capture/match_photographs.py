@@ -9,6 +9,7 @@ from typing import Literal
 
 from svu_mi.capture.capture_folder import FILE
 from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
+from svu_mi.core.io.files import refusing
 from svu_mi.core.io.folder_exchange import restore
 from svu_mi.errors import CaptureError, are, counted, excerpt
 
@@ -96,13 +97,17 @@ def masks_of(stem: str) -> tuple[str, ...]:
     return (*numbered, f"{MASK}{stem}", f"{stem}_mask")
 
 
+def list_pictures(folder: Path) -> list[Path]:
+    """Return the pictures in a folder sorted by name, without hidden files."""
+    with refusing(folder, "change its permissions"):
+        files = sorted(folder.iterdir())
+    known = [file for file in files if file.suffix.lower() in SUFFIXES and file.is_file()]
+    return without_raw_doubles([file for file in known if not file.name.startswith(".")])
+
+
 def _image_files(folder: Path) -> list[Path]:
     """Return a folder's images in natural order, without masks."""
-    paths = [
-        path for path in folder.iterdir()
-        if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
-    ]  # fmt: skip
-    paths = without_raw_doubles(paths)
+    paths = list_pictures(folder)
     masks = {name for path in paths for name in masks_of(path.stem)}
     return sorted((path for path in paths if path.stem not in masks), key=_natural)
 

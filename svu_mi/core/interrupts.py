@@ -15,9 +15,8 @@ from types import FrameType
 WAIT = 0.02  # seconds until it is tested again whether an import has ended
 
 
-def raise_after_imports(number: int, frame: FrameType | None) -> None:
+def raise_after_imports(_: int, frame: FrameType | None) -> None:
     """Raise ``KeyboardInterrupt`` when no C++ module is being imported; a handler of SIGINT."""
-    del number
     while frame is not None:
         if isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
             again = threading.Timer(WAIT, _thread.interrupt_main)
@@ -38,9 +37,8 @@ def between_steps() -> Iterator[Callable[[], None]]:
     """
     pressed = False
 
-    def remember(number: int, frame: object) -> None:
+    def remember(*_: object) -> None:
         nonlocal pressed
-        del number, frame
         if pressed:
             raise KeyboardInterrupt
         pressed = True

@@ -159,6 +159,14 @@ def layer(path: Path) -> None:
     follows(path)
 
 
+def parts(path: Path, **pictures: np.ndarray) -> Path:
+    OpenEXR.File([
+        OpenEXR.Part({"type": OpenEXR.scanlineimage}, {"RGB": pixels.astype("f4")}, name)
+        for name, pixels in pictures.items()
+    ]).write(str(path))  # fmt: skip
+    return path
+
+
 def cropped(path: Path) -> None:
     file = exr(path, LINEAR, displayWindow=(np.array([0, 0], "i4"), np.array([20, 20], "i4")))
     assert open_image(file).header.cropped
@@ -301,6 +309,8 @@ CASES: dict[tuple[str, str], Callable[[Path], None]] = {
     ("EXR", "XYZ, luminance and chroma"): lambda d: refuses(
         exr(d / "a.exr", LINEAR, "XYZ"), "contains CIE XYZ"),
     ("EXR", "one layer"): lambda d: layer(d / "a.exr"),
+    ("EXR", "several parts"): lambda d: reports(
+        parts(d / "a.exr", beauty=LINEAR, albedo=LINEAR / 2), "the first (beauty) is used"),
     ("EXR", "owner, comments, expTime"): lambda d: follows(
         exr(d / "a.exr", LINEAR, owner="me", comments="dark", expTime=0.25)),
     ("any", "suffix of another format"): lambda d: reports(

@@ -24,6 +24,8 @@ def open_exr(path: Path) -> ImageHeader:
         remarks = ["chromaticities in the header are invalid; taken as Rec. 709."]
     else:
         remarks = []
+    if header.parts > 1:
+        remarks.append(f"several parts; the first ({header.attributes.get('name')}) is used.")
     for name, neutral in IGNORED.items():
         value = header.attributes.get(name, neutral)
         if value != neutral:

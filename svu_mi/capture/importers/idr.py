@@ -22,7 +22,8 @@ import scipy
 from svu_mi.capture.image_io import open_image
 from svu_mi.capture.importers.registry import ReadOptions
 from svu_mi.capture.importers.source import LARGEST, OPENCV, RIGID, Frame, Source
-from svu_mi.capture.importers.source_files import find_folder, find_photographs, list_pictures
+from svu_mi.capture.importers.source_files import find_folder, find_photographs
+from svu_mi.capture.match_photographs import list_pictures
 from svu_mi.capture.sensors import affine
 from svu_mi.core.io.files import refusing
 from svu_mi.core.io.npz import read_foreign_arrays

@@ -163,7 +163,8 @@ class ImportPlan:
                 light = replace(light, to_world=light.to_world @ fix_rotation(self.fixes, "light"))
             sensors = [frame.sensor(_clip_planes(frame, geometry.mesh)) for frame in squares]
             table = self._table(geometry.mesh, sensors)
-            notes += _write_scene(draft.folder, geometry, light, [*table, *_sensors(sensors)])
+            cameras = [scene_xml.sensor(each, f"view_{k:04d}") for k, each in enumerate(sensors)]
+            notes += _write_scene(draft.folder, geometry, light, [*table, *cameras])
             if light is None and table:
                 notes.append(TABLE_IN_THE_DARK)
             if light is None and options.flash is None:
@@ -440,10 +441,6 @@ def _write_scene(
     root.extend(others)
     scene_xml.write_document(root, folder / SCENE)
     return notes
-
-
-def _sensors(sensors: Sequence[Any]) -> list[Element]:
-    return [scene_xml.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors)]
 
 
 def table_pose(mesh: MeshArrays, up: np.ndarray) -> np.ndarray:

@@ -40,7 +40,9 @@ def read(path: Path, options: ReadOptions) -> Source:
     any suffix. Both are in folders next to the file by default.
     """
     file = path / FILE if path.is_dir() else path
-    rows = _rows(file)
+    with refusing(file, "export them again"):
+        table = {"poses": read_foreign_array(file, LARGEST_FILE)}
+        rows = np.asarray(checked(table, {"poses": POSES})["poses"])
     root = file.parent
     files = find_photographs(root, options.images, IMAGES, file, len(rows))
     folder = find_folder("masks", options.masks, (root / name for name in MASKS))
@@ -59,13 +61,6 @@ def read(path: Path, options: ReadOptions) -> Source:
             "their centre."
         ],
     )
-
-
-def _rows(file: Path) -> np.ndarray:
-    """Return the table (N, 17)."""
-    with refusing(file, "export them again"):
-        table = {"poses": read_foreign_array(file, LARGEST_FILE)}
-        return np.asarray(checked(table, {"poses": POSES})["poses"])
 
 
 def _frame(row: np.ndarray, image: Path, mask: Path | None, label: str) -> Frame:

@@ -33,6 +33,11 @@ V_DOWN = (".ply",)
 MTL = ".mtl"
 HEADER = 2**16  # bytes that contain the header of a PLY, or the first vertex of an OBJ
 COLORED = re.compile(rb"^v(\s+[-+.\deE]+){6,7}\s*$", re.MULTILINE)  # x y z r g b [w]
+# Lines of an OBJ: faces with a vertex 0, or with one that counts backwards, and names of objects.
+ZERO = re.compile(rb"^f\s(?:[^\n]*[\s/])?0(?:[\s/]|$)", re.MULTILINE)
+RELATIVE = re.compile(rb"^f\s[^\n]*-\d", re.MULTILINE)
+OBJECT = re.compile(rb"^o[ \t]+([^\r\n]+)", re.MULTILINE)
+SHOWN = 60  # characters of the names of parts in a note
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
 LEFT_OUT = (
@@ -77,8 +82,8 @@ def read_textured_mesh(path: str | Path, *, geometry_only: bool = False) -> Text
             "geometry with --geometry-only."
         )
     mesh = _merge_parts(parts, path)
-    if geometry_only:
-        mesh = replace(mesh, uvs=None)
+    if geometry_only or (mesh.uvs is not None and not np.ptp(mesh.uvs, axis=0).all()):
+        mesh = replace(mesh, uvs=None)  # some exporters write the same UVs for all vertices
     textures: materials.Textures = {}
     normals = None
     if mesh.uvs is not None:
@@ -133,6 +138,7 @@ class _Part:
     ``material`` is equal for parts of the same material; None without UVs.
     """
 
+    name: str
     mesh: MeshArrays
     visual: Any
     material: int | None
@@ -149,6 +155,7 @@ class _Part:
         uvs = getattr(part.visual, "uv", None)
         materials.load_pictures(part.visual)
         return _Part(
+            node,
             MeshArrays(
                 positions=np.array(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3],
                 faces=faces[:, ::-1] if mirrored else faces,
@@ -197,7 +204,9 @@ def _read_parts(
     held = path.stat().st_size
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
-    _refuse_ambiguous(path)
+    objects = _obj_objects(path) if path.suffix.lower() == ".obj" else []
+    if path.suffix.lower() == ".ply":
+        _refuse_several_textures(path)
     given: dict[str, Any] = {"file_obj": path}
     notes: list[str] = []
     with _parser_errors(path):
@@ -218,26 +227,36 @@ def _read_parts(
         raise MeshError(f"{path}: {excerpt(files.refused[0])}")
     if not parts:
         raise MeshError(f"{path}: contains no triangle mesh; export one.")
+    names = objects if len(objects) > 1 else [part.name for part in parts]
+    if len(names) > 1:
+        notes.append(
+            f"{path}: {len(names)} parts ({excerpt(', '.join(names), SHOWN)}) are read as one "
+            "object; remove a table or other objects from the file."
+        )
     return parts, notes
 
 
-def _refuse_ambiguous(path: Path) -> None:
-    """Raise MeshError for files of which trimesh would read only a part, or something else."""
-    kind = path.suffix.lower()
-    data = path.read_bytes() if kind == ".obj" else b""
+def _obj_objects(path: Path) -> list[str]:
+    """Return the names of the objects of an OBJ; refuse indices that trimesh misreads."""
+    data = path.read_bytes()
+    if ZERO.search(data):
+        raise MeshError(f"{path}: counts vertices from 0, but OBJ counts from 1; add 1 to indices.")
     first = re.search(rb"^f\s", data, re.MULTILINE)
-    relative = first and re.search(rb"^f\s[^\n]*-\d", data, re.MULTILINE)
-    if first and relative and data.find(b"\nv ", first.start()) >= 0:
+    if first and RELATIVE.search(data) and data.find(b"\nv ", first.start()) >= 0:
         raise MeshError(
             f"{path}: has relative indices between its vertices; export it with positive indices."
         )
-    if kind == ".ply":
-        with path.open("rb") as stream:
-            header = stream.read(HEADER).partition(b"end_header")[0].lower()
-        if header.count(b"comment texturefile") > 1:
-            raise MeshError(
-                f"{path}: has several textures; bake them into one, or export it without textures."
-            )
+    return [name.decode(errors="replace") for name in dict.fromkeys(OBJECT.findall(data))]
+
+
+def _refuse_several_textures(path: Path) -> None:
+    """Raise MeshError for a PLY of whose textures trimesh would read only one."""
+    with path.open("rb") as stream:
+        header = stream.read(HEADER).partition(b"end_header")[0].lower()
+    if header.count(b"comment texturefile") > 1:
+        raise MeshError(
+            f"{path}: has several textures; bake them into one, or export it without textures."
+        )
 
 
 @contextlib.contextmanager

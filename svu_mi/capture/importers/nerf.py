@@ -122,6 +122,13 @@ def read_transforms(
         )
     before = np.linalg.inv(applied.transform) if original_world else np.eye(4)
     usual = next((image for image in images if image.is_file()), None)  # its size is that of all
+    if usual is None and any(
+        "file_path" in frame and {"w", "h"}.isdisjoint([*record, *frame]) for frame in frames
+    ):
+        raise CaptureError(
+            f"{path}: {len(images)} of {len(images)} photographs {are(len(images))} missing, first "
+            f"{relative_name(path.parent, images[0])}; move them to the paths in the poses."
+        )
     unchanged = np.allclose(applied.transform, np.eye(4)) and applied.scale == 1
     notes = [] if original_world or unchanged else [
         f"{path}: has an applied_transform or applied_scale; poses are in the world after it. "
@@ -273,10 +280,7 @@ def _size(known: Mapping[str, Any], image: Path, usual: Path | None) -> tuple[in
         return int(sides[0]), int(sides[1])
     if sides != (None, None) or known["file_path"] is None:
         raise ValueError("w or h is missing")
-    file = image if image.is_file() else usual
-    if file is None:
-        raise CaptureError(f"{image}: no such photograph; move all to the paths in the poses.")
-    return open_image(file).size
+    return open_image(image if usual is None or image.is_file() else usual).size
 
 
 def _focal(known: Mapping[str, Any], axis: str, side: int) -> float | None:

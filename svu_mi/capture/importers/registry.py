@@ -119,7 +119,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> "Source
             "--images and --masks are for transforms.json, Meshroom, COLMAP, LLFF and IDR, but "
             f"{path} is read as {kind}, whose files have fixed names; omit them."
         )
-    source: Source = _reader(kind).read(path, options)
+    source: Source = _module(FORMATS[kind]).read(path, options)
     others = [
         f"{path}: is read as {kind}, but also contains poses of {name}; --format {name} reads them."
         for name in (TABLES if recognised and kind not in TABLES else ())
@@ -129,11 +129,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> "Source
 
 
 def _recognises(name: str, path: Path, split: str) -> bool:
-    return bool(_reader(name).recognises(path, split))
-
-
-def _reader(name: str) -> Any:
-    return _module(FORMATS[name])
+    return bool(_module(FORMATS[name]).recognises(path, split))
 
 
 def _module(name: str) -> Any:

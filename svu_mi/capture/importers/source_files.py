@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from svu_mi.capture.image_formats.recognition import SUFFIXES, without_raw_doubles
-from svu_mi.capture.match_photographs import masks_of
+from svu_mi.capture.image_formats.recognition import SUFFIXES
+from svu_mi.capture.match_photographs import list_pictures, masks_of
 from svu_mi.core.identifiers import fits_file_name
 from svu_mi.core.io.files import refusing
 from svu_mi.errors import CaptureError, counted, excerpt
@@ -195,15 +195,6 @@ def find_photographs(
             "photographs with --images."
         )
     return files
-
-
-def list_pictures(folder: Path) -> list[Path]:
-    """Return the pictures in a folder sorted by name, without hidden files."""
-    with refusing(folder, "change its permissions"):
-        files = sorted(folder.iterdir())
-    known = [file for file in files if file.suffix.lower() in SUFFIXES]
-    known = [file for file in known if not file.name.startswith(".") and file.is_file()]
-    return without_raw_doubles(known)
 
 
 def find_mask(folder: Path, name: Path) -> Path | None:

@@ -81,12 +81,14 @@ class Header:
         cropped: True if the data window differs from the display window.
         chromaticities: x, y of red, green, blue and white; those of Rec. 709 by default.
         attributes: entries of the header, text or numbers, by name.
+        parts: number of parts of the file.
     """
 
     size: tuple[int, int]
     cropped: bool = False
     chromaticities: tuple[float, ...] = REC_709
     attributes: Mapping[str, str | int | float] = field(default_factory=dict)
+    parts: int = 1
 
 
 def read_header(path: str | Path) -> Header:
@@ -112,7 +114,7 @@ def read_header(path: str | Path) -> Header:
     if any(part.get("type") in DEEP for part in parts):
         raise CaptureError(f"{path}: a deep EXR file; export it as a flat image.")
     _check_sizes(path, sizes, counts)
-    return Header(sizes[0], cropped, tuple(map(float, colors.ravel())), _plain(first))
+    return Header(sizes[0], cropped, tuple(map(float, colors.ravel())), _plain(first), len(parts))
 
 
 def _check_sizes(path: Path, sizes: Sequence[tuple[int, int]], counts: Sequence[int]) -> None:

@@ -97,12 +97,21 @@ def test_parts_are_placed_and_mirrored_ones_face_outwards(tmp_path):
     assert (np.einsum("ij,ij->i", mesh.normals, mesh.positions - center) > 0).all()
 
 
+def test_same_uvs_for_all_vertices_are_none(tmp_path):
+    ball = trimesh.creation.icosphere(1)
+    ball.visual = trimesh.visual.TextureVisuals(uv=np.full((len(ball.vertices), 2), 0.5))
+    ball.export(tmp_path / "mesh.obj")
+    assert "vt 0.5" in (tmp_path / "mesh.obj").read_text()
+    assert read_textured_mesh(tmp_path / "mesh.obj").mesh.uvs is None
+
+
 def test_several_materials_are_refused_unless_geometry_will_do(tmp_path):
     trimesh.Scene([quad(picture=PICTURE + k) for k in (0, 1)]).export(tmp_path / "two.glb")
     with pytest.raises(MeshError, match="two.glb: has 2 materials.*--geometry-only"):
         read_textured_mesh(tmp_path / "two.glb")
     geometry = read_textured_mesh(tmp_path / "two.glb", geometry_only=True)
-    assert geometry.mesh.uvs is None and "textures are ignored" in geometry.notes[0]
+    assert geometry.mesh.uvs is None and "2 parts (geometry_1, geometry_0)" in geometry.notes[0]
+    assert "textures are ignored" in geometry.notes[1]
     plain = [quad(PBRMaterial(baseColorFactor=color)) for color in ([9, 0, 0, 255], [0, 0, 9, 255])]
     trimesh.Scene(plain).export(tmp_path / "plain.glb")  # materials without pictures are irrelevant
     geometry = read_textured_mesh(tmp_path / "plain.glb")
@@ -840,7 +849,7 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
     (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
     assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
     frame.image.unlink()
-    with pytest.raises(CaptureError, match="train/r_0: no such photograph; move all to"):
+    with pytest.raises(CaptureError, match="1 of 1 photographs is missing, first train/r_0; move"):
         read_source(tmp_path)
 
 

@@ -412,6 +412,8 @@ FIELDS = {  # by words of the row of the table
     "`doubleSided`": lambda d: glb(d / "a.glb", both_sides),
     "lines (`l`)": lambda d: changed_obj(d, "usemtl m", "l 1 2\np 1\ng part\ns off\nusemtl m"),
     "colours after": colored_obj,
+    "several objects": lambda d: changed_obj(d, "f 1/1 3/3 4/4", "o table\nf 1/1 3/3 4/4\no vase"),
+    "vertex 0": lambda d: changed_obj(d, "f 1/1 3/3 4/4", "f 0/1 2/3 3/4"),
     "relative indices": lambda d: changed_obj(d, "f 1/1 3/3 4/4", "f -4/1 -2/3 -1/4\nv 0 0 9"),
     "paths of `map_Kd`": lambda d: obj(d, "map_Kd textures/base.png"),
     "options `-s`": lambda d: obj(d, "map_Kd -s 2 2 base.png"),
