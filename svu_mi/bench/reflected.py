@@ -1,13 +1,14 @@
 """``svu bench reflected``: textures under light of tables, of the object itself, and of lamps.
 
 Posterior means and 90 % intervals of the preset ``default``, compared with the true textures, in
-photographs of direct light, of all bounces, on tables (from above), and under four area lights.
+photographs of direct light, of all bounces, on tables (from above), under four area lights, and
+with a flash only.
 The radiance of the model is compared with path tracing (``radiance_error``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import repeat
@@ -16,15 +17,18 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.bench.captures import capture_in_memory
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measurement, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
 from svu_mi.bench.posterior_scores import JUDGED, posterior_figures
 from svu_mi.bench.radiance_error import radiance_error
 from svu_mi.bench.spoiled_captures import box_of, on_table, photographed, with_table
 from svu_mi.bench.study import Selection, Study
-from svu_mi.capture.capture import Capture
+from svu_mi.capture.capture import Capture, Flash
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.replace_material import make_scene
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.core.arrays import evenly_spaced
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import texels
@@ -41,6 +45,8 @@ GREY, BLACK = (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 LIGHTS = (((2, 2.5, 2), (10, 9, 8)), ((-2, 2, 1.5), (6, 7, 9)),
           ((0.5, -2.5, 2), (5, 5, 5)), ((-0.5, 1, -3), (8, 8, 8)))  # fmt: skip
 AWAY = 3.0
+FLASHED = {"views": 60, "film": 256}  # more photographs, as each has one lamp
+BESIDE = 0.04  # place of the flash, right of and above the camera, in diagonals of the object
 
 
 @dataclass(frozen=True)
@@ -97,6 +103,20 @@ class ReflectedCase(CaseSubject):
         capture = replace(self.direct, scene=make_scene([direct, self.direct.shape, *lamps]))
         return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=2)
 
+    @property
+    def under_flash(self) -> Capture:
+        """Photographs with a lamp on each camera, and no other light."""
+        sizes = self.photographs if self.bench.quick else FLASHED
+        _, size = box_of(arrays(self.direct.shape))
+        place, power = (-BESIDE * size, BESIDE * size, 0.0), (size**2,) * 3
+        path = mi.load_dict({"type": "path", "max_depth": 2})
+        sensors = sphere_sensors(self.direct.shape, sizes["views"], (sizes["film"],) * 2)
+        dark = make_scene([path, self.direct.shape])
+        capture = capture_in_memory(dark, self.direct.shape, sensors, ())
+        lit = (make_scene([path, self.direct.shape, _lamp_at(x, place, power)]) for x in sensors)
+        capture = photographed(capture, lit, self.photographs["spp"], depth=2)
+        return replace(capture, flash=Flash(place, power))
+
     def figures(self, capture: Capture, *, bounces: bool = False, known: bool = True) -> Record:
         """Return the scores of the posterior, and of radiance if the light is ``known``."""
         layout = texels(capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
@@ -124,7 +144,15 @@ ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
     ),
     "grey table": lambda case: case.figures(case.on_known_table(GREY), bounces=True),
     "four lamps": lambda case: case.figures(case.under_lamps),
+    "flash": lambda case: case.figures(case.under_flash, known=False),
 }
+
+
+def _lamp_at(sensor: Any, place: Sequence[float], power: Sequence[float]) -> Any:
+    """Return a point lamp at a place in the frame of a camera."""
+    at = to_world(sensor) @ (*place, 1.0)
+    intensity = {"type": "rgb", "value": list(power)}
+    return mi.load_dict({"type": "point", "position": at[:3].tolist(), "intensity": intensity})
 
 
 def _row(name: str, made: Callable[[ReflectedCase], Record]) -> Measurement:

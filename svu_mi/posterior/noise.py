@@ -20,7 +20,7 @@ import numpy as np
 
 from svu_mi.parameters import CHANNELS
 
-SMALLEST = 1e-3  # minimum of s and s_0, relative to the radiance unit
+SMALLEST = 4e-3  # minimum of s and s_0, relative to the radiance unit: errors of the model
 FITTED = sum(CHANNELS.values())  # number of fitted values per texel, 5
 FULL = 8  # number of views at which t = 1
 
