@@ -87,7 +87,7 @@ TINY = {
 @pytest.mark.parametrize(
     ("name", "cases", "rows"),
     [("calibration", 2, 9), ("light", 1, 1), ("paper", 3, None), ("paths", 1, 1),
-     ("poses", 1, 5), ("reflected", 1, 8), ("scaling", 1, 4), ("sureness", 1, 5),
+     ("poses", 1, 5), ("reflected", 1, 9), ("scaling", 1, 4), ("sureness", 1, 5),
      ("verdict", 1, 4)],
 )  # fmt: skip
 def test_a_study_measures_every_row(name, cases, rows, tmp_path, monkeypatch):
