@@ -27,10 +27,8 @@ SIGNATURES = tuple((re.compile(pattern, re.DOTALL), kind, remedy) for pattern, k
      "a project or cameras of Metashape",
      "in Metashape, choose File > Export > Export Cameras and the type Colmap (since 2.2; before: "
      + NERFSTUDIO.format("metashape") + ")"),
-    (rb"#name,x,y,|#cameras \d+\s*#name,", "cameras of RealityCapture (CSV)",
-     "in RealityScan, export the registration as COLMAP (since 2.0; before: "
-     + NERFSTUDIO.format("realitycapture") + ")"),
-    (rb".*<[^>]*xcr:|<Reality(Capture|Scan)\b", "a project or metadata of RealityCapture",
+    (rb"#name,x,y,|#cameras \d+\s*#name,|.*<[^>]*xcr:|<Reality(Capture|Scan)\b",
+     "cameras or a project of RealityCapture",
      "in RealityScan, export the registration as COLMAP (since 2.0; before: as CSV, and "
      + NERFSTUDIO.format("realitycapture") + ")"),
     (rb'\s*\{\s*"sfm_data_version"', "a reconstruction of OpenMVG",
@@ -59,6 +57,7 @@ SIGNATURES = tuple((re.compile(pattern, re.DOTALL), kind, remedy) for pattern, k
      "export poses as transforms.json, for example with the add-on BlenderNeRF"),
     (rb"PK\x03\x04.{26}[^\0]{1,200}\.usd[ac]", "a model of Apple's Object Capture, without poses",
      RUN_COLMAP + "; the mesh must be in that world"),
+    (rb"PK\x03\x04.{26}(?![^\0]{1,200}\.npy)", "a ZIP archive", "unpack it, and import the folder"),
 ))  # fmt: skip
 PLACES = ("*", "images/*.xmp", "keyframes/corrected_cameras/*.json", "keyframes/cameras/*.json")
 

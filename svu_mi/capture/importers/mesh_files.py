@@ -20,7 +20,7 @@ from svu_mi.capture.importers import mesh_materials as materials
 from svu_mi.capture.importers.gltf_extensions import readable
 from svu_mi.capture.importers.obj_materials import rewritten
 from svu_mi.capture.importers.repair_normals import repair_normals
-from svu_mi.capture.importers.source_files import LARGEST_TEXT, find_file, substitutions
+from svu_mi.capture.importers.source_files import LARGEST_TEXT, SHOWN, find_file, substitutions
 from svu_mi.capture.mesh import MeshArrays, check_buffers, flipped_v, joined
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 
@@ -37,7 +37,6 @@ COLORED = re.compile(rb"^v(\s+[-+.\deE]+){6,7}\s*$", re.MULTILINE)  # x y z r g 
 ZERO = re.compile(rb"^f\s(?:[^\n]*[\s/])?0(?:[\s/]|$)", re.MULTILINE)
 RELATIVE = re.compile(rb"^f\s[^\n]*-\d", re.MULTILINE)
 OBJECT = re.compile(rb"^o[ \t]+([^\r\n]+)", re.MULTILINE)
-SHOWN = 60  # characters of the names of parts in a note
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
 LEFT_OUT = (

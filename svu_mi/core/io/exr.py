@@ -63,7 +63,9 @@ def write_exr(
             with quiet, OpenEXR.File(header, dict(planes)) as file:
                 file.write(str(temporary))
             written, _ = _read_channels(temporary)
-        except (RuntimeError, ValueError, TypeError, CaptureError) as error:
+        except CaptureError as error:
+            raise OutputError(f"{path}: is damaged after writing; is the disk full?") from error
+        except (RuntimeError, ValueError, TypeError) as error:
             raise OutputError(f"{path}: cannot be written ({error}).") from error
         for name, plane in planes.items():
             if written[name].dtype != plane.dtype or written[name].tobytes() != plane.tobytes():

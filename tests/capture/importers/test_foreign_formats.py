@@ -56,6 +56,10 @@ def test_binary_files_of_other_tools(tmp_path):
         file.writestr("baked_mesh.usdc", b"PXR-USDC")
     with pytest.raises(CaptureError, match=r"a\.usdz: contains a model of Apple.*colmap auto"):
         read_source(tmp_path / "a.usdz")
+    with zipfile.ZipFile(tmp_path / "my.zip", "w") as file:
+        file.writestr("my/transforms.json", "{}")
+    with pytest.raises(CaptureError, match=r"my\.zip: contains a ZIP archive.*unpack"):
+        read_source(tmp_path / "my.zip")
     with sqlite3.connect(tmp_path / "database.db") as database:
         database.execute("CREATE TABLE cameras (camera_id INTEGER)")
     with pytest.raises(CaptureError, match=r"database\.db: contains a database.*colmap mapper"):
