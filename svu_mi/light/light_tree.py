@@ -27,6 +27,7 @@ GROUP, LARGEST = 4, 32  # mean and largest number of coarse cells per group
 RING = 6  # cells around the central cell of a sun's disk
 SPLIT = 8  # local cells per world cell in ``cell_radiance``
 DIM = 0.25  # flux threshold of "bright" fine cells, relative to the mean
+SIZES = 0.5, 4.0  # least and most factor of the squared sizes of dim and bright cells
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,13 @@ class LightCells:
         toward: (4 N,) Float: unit world direction to the light, and radius [rad] of a uniform disk
             with the same variance.
         flux: (4 N,) Float: radiance integrated over solid angle: R, G, B and their mean.
+        size: (N,) Float: squared radius times a factor, larger for brighter cells, which are
+            subdivided earlier.
     """
 
     toward: Any
     flux: Any
+    size: Any
     number: int
     count: Any
 
@@ -79,12 +83,12 @@ class LightTree:
     def every(self) -> LightCells:
         """Cells of all depths: coarse ones, then fine ones, then leaves."""
         depths = self.coarse, self.fine, self.leaves
-        toward, flux = (
+        arrays = (
             to_drjit(mi.Float, np.concatenate([getattr(cells, name).numpy() for cells in depths]))
-            for name in ("toward", "flux")
+            for name in ("toward", "flux", "size")
         )
         number = sum(cells.number for cells in depths)
-        return LightCells(toward, flux, number, dr.opaque(mi.UInt32, number))
+        return LightCells(*arrays, number, dr.opaque(mi.UInt32, number))
 
 
 @dataclass(frozen=True)
@@ -139,9 +143,12 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     label = place[label]
     leaf = np.argsort(label, kind="stable")
     label, flux, pull = label[leaf], flux[leaf], pull[leaf]
-    below = _cells(_sum(label, flux, fine), _sum(label, pull, fine), environment)
+    typical = light.sum() / fine
+    below = _cells(_sum(label, flux, fine), _sum(label, pull, fine), environment, typical)
     upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # coarse cell by fine cell
-    above = _cells(_sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment)
+    above = _cells(
+        _sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment, typical
+    )
     starts = np.searchsorted(upper, np.arange(coarse + 1))
     leaves = np.searchsorted(label, np.arange(fine + 1))
     edges = _edges(of_group[order][starts[:-1]])
@@ -219,15 +226,20 @@ def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
     return nearest_cells(latlong.directions(columns, rows).reshape(-1, 3), count)
 
 
-def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> LightCells:
+def _cells(
+    flux: np.ndarray, pull: np.ndarray, environment: Environment, typical: float = 0.0
+) -> LightCells:
+    """Return cells; ``typical`` is the mean flux, summed over channels, of fine cells."""
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # For unit directions, E|w - mean|^2 = 1 - |mean|^2; a disk has half the squared radius.
     mean = np.minimum(length / np.maximum(flux.sum(axis=1, keepdims=True), 1e-300), 1)
     radius = np.sqrt(2 * (1 - mean * mean))
+    bright = np.sqrt(flux.sum(axis=1) / typical) if typical > 0 else np.ones(len(flux))
     world = pull / np.maximum(length, 1e-300) @ environment.to_local
     return LightCells(
         toward=to_drjit(mi.Float, np.hstack([world, radius]).ravel()),
         flux=to_drjit(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
+        size=to_drjit(mi.Float, np.square(radius[:, 0]) * np.clip(bright, *SIZES)),
         number=len(flux),
         count=dr.opaque(mi.UInt32, len(flux)),
     )

@@ -2,7 +2,7 @@
 
 All coarse cells are traced. A fine cell inherits the bit of its coarse cell, with two
 exceptions that are traced: its coarse cell is below the horizon, or the fine cell is bright and its
-group of coarse cells is partly hidden.
+group of coarse cells is partly hidden. Only coarse cells that are visible as a whole are kept.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,8 @@ class LightVisibility:
     """Visibility of the light's cells from S texels.
 
     Attributes:
-        coarse, fine: Visibility bits of coarse and fine cells from traced texels.
+        coarse: Bits of coarse cells all of whose fine cells are visible from traced texels.
+        fine: Visibility bits of fine cells from traced texels.
         place: (S,) UInt32, the traced texel whose bits each texel has.
     """
 
@@ -75,17 +76,16 @@ class LightVisibility:
         """Return the share of directions that are occluded, weighted by the cosine, (S,)."""
 
         def add(cell: Any, whole: Any, free: Any) -> tuple[Any, Any, Any]:
-            fine = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
-            start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, k) for k in fine)
-            direction = self.tree.coarse.at(cell)[0]
+            start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, cell + k) for k in (0, 1))
+            direction = self.tree.fine.at(cell)[0]
             cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
             above = dr.dot(surface.geometric_normal, direction) > 0
             share = dr.select(above, cosine * (end - start), 0)  # leaves have equal solid angles
-            visible = dr.select(self.coarse.test(cell, self.place), share, 0)
+            visible = dr.select(self.fine.test(cell, self.place), share, 0)
             return cell + 1, whole + share, free + visible
 
         zero = dr.zeros(mi.Float, surface.count)
-        whole, free = fold(0, self.tree.coarse.count, add, zero, zero)
+        whole, free = fold(0, self.tree.fine.count, add, zero, zero)
         return np.array(dr.select(whole > 0, 1 - free / whole, 0))
 
 
@@ -111,33 +111,33 @@ def trace_light_visibility(
     def trace_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
         start, end = (dr.gather(mi.UInt32, tree.groups, group + k) for k in (0, 1))
 
-        def trace(cell: Any, word: Any, free: Any, high: Any) -> tuple[Any, ...]:
+        def trace(cell: Any, free: Any, high: Any) -> tuple[Any, ...]:
             direction = tree.coarse.at(cell)[0]
             up = above(direction)
             is_open = trace_ray(direction, up)
             own = mi.UInt32(1) << (cell - start)  # a group has at most 32 cells
-            free, high = free | dr.select(is_open, own, 0), high | dr.select(up, own, 0)
-            return cell + 1, coarse.push(word, cell, lane, is_open), free, high
+            return cell + 1, free | dr.select(is_open, own, 0), high | dr.select(up, own, 0)
 
         none = dr.zeros(mi.UInt32, count)
-        word, free, high = fold(start, end, trace, word, none, none)
+        free, high = fold(start, end, trace, none, none)
         split = (free > 0) & (dr.popcnt(free) < end - start)
 
-        def inherit(cell: Any, below_word: Any) -> tuple[Any, ...]:
+        def inherit(cell: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
             place = cell - start
             inherited, low = (free >> place) & 1 != 0, (high >> place) & 1 == 0
             first, last = (dr.gather(mi.UInt32, tree.first, cell + k) for k in (0, 1))
 
-            def refine(below: Any, below_word: Any) -> tuple[Any, ...]:
+            def refine(below: Any, below_word: Any, whole: Any) -> tuple[Any, ...]:
                 direction = tree.fine.at(below)[0]
                 own = low | (split & (dr.gather(mi.UInt32, tree.bright, below) > 0))
                 is_open = trace_ray(direction, own & above(direction))
                 is_open = dr.select(own, is_open, inherited)
-                return below + 1, fine.push(below_word, below, lane, is_open)
+                return below + 1, fine.push(below_word, below, lane, is_open), whole & is_open
 
-            return (cell + 1, *fold(first, last, refine, below_word))
+            below_word, whole = fold(first, last, refine, below_word, mi.Bool(True))
+            return cell + 1, coarse.push(word, cell, lane, whole), below_word
 
-        return (group + 1, word, *fold(start, end, inherit, below_word))
+        return (group + 1, *fold(start, end, inherit, word, below_word))
 
     none = dr.zeros(mi.UInt32, count)
     fold(0, tree.group_count, trace_group, none, none)

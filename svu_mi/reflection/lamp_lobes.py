@@ -1,8 +1,4 @@
-"""Reflection of lamps and of a flash: sums over their cells with the exact BRDF.
-
-Cells may be larger than narrow lobes. GGX is widened by the half-angle of the cell, which conserves
-energy and hides gaps between cells: alpha^2 + rho^2 / 4, as the half vector turns half as far.
-"""
+"""Reflection of lamps and of a flash: sums over their cells with the exact BRDF."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +11,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import diffuse_moments
 from svu_mi.light.flash_light import FlashCell, FlashLight
 from svu_mi.light.lamps import Lamps
-from svu_mi.reflection.lobes import Normals, widened_ggx
+from svu_mi.reflection.lobes import Normals
 from svu_mi.reflection.wide_lobes import Lobe, LobeSums
 
 
@@ -29,7 +25,7 @@ class LampLobes:
 
     def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light of lamps that each lobe reflects towards a camera."""
-        sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
+        sums = LobeSums(self.alpha, self.channels, normals, direction)
         cells, every = self.lamps.seen_from(lane), mi.Bool(True)
         return sums.of_cells(cells, self.lamps.number, every, cosine)
 
@@ -64,5 +60,5 @@ class FlashLobes:
         self, normals: Normals, cell: FlashCell, direction: Any, cosine: Any
     ) -> list[Lobe]:  # fmt: skip
         """Return the light that each lobe reflects towards the camera."""
-        sums = LobeSums(self.alpha, self.channels, normals, direction, widened_ggx)
+        sums = LobeSums(self.alpha, self.channels, normals, direction)
         return sums.of_cells(cell, dr.opaque(mi.UInt32, 1), mi.Bool(True), cosine)

@@ -21,7 +21,6 @@ ALBEDO_NODES = 32  # number of nodes of cos theta_o, at (i + 0.5) / 32
 FLAT = 0.01  # alpha below which the sphere under a Gaussian lobe counts as flat
 ANGLES = 4097  # number of tabulated angles of Gaussian lobes
 SERIES = 6.0  # series of Gaussian lobes end at degree SERIES / alpha, where terms are exp(-36)
-LEAST = 0.3  # minimum of a lobe averaged over a disk, relative to its centre
 _U, _V = 64, 16  # number of stratified samples of visible normals per table entry
 
 
@@ -93,30 +92,20 @@ def ggx(cosine: Any, alpha: Any) -> Any:
     return (alpha / (cosine * cosine * (alpha * alpha - 1) + 1)) ** 2 / np.pi
 
 
-def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> list[Any]:
+def disk_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> list[Any]:
     """Return D G1 averaged over a disk of light, for each width.
 
-    To first order, the relative change of D is (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s), where
-    s = sin^2 theta_h + alpha^2 cos^2 theta_h. ``up`` is cos theta_h, ``square`` is rho^2.
+    Half vectors of the disk fill a disk of half its radius rho. As D is the density of a sphere in
+    stereographic projection, its mean over a disk is the area of a cap: with s = sin^2 theta_h +
+    alpha^2 cos^2 theta_h, c = s - rho^2 / 4 and l^2 = c^2 + alpha^2 rho^2, it is
+    2 alpha^2 / (pi l (l + c)). ``up`` is cos theta_h, ``square`` is rho^2.
     """
     root, means = _root(incident), []
     for a in (alpha * alpha for alpha in widths):
-        inverse = dr.rcp(dr.fma(up * (a - 1), up, 1))
-        change = dr.fma(square * inverse, dr.fma(-0.75 * a, inverse, 0.5), 1)
-        masking = incident * dr.rcp(incident + root(dr.fma(incident * (1 - a), incident, a)))
-        mean = inverse * inverse * dr.maximum(change, LEAST)
-        means.append(mean * (2 * a / np.pi * masking))
-    return means
-
-
-def widened_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> list[Any]:
-    """Return D G1 of lobes widened to alpha^2 + ``square`` / 4 (arguments: ``blurred_ggx``)."""
-    root, means = _root(incident), []
-    for a in (alpha * alpha for alpha in widths):
-        wide = dr.fma(0.25, square, a)
-        inverse = dr.rcp(dr.fma(up * (wide - 1), up, 1))
-        masking = dr.rcp(incident + root(dr.fma(incident * (1 - a), incident, a)))
-        means.append(wide / np.pi * inverse * inverse * 2 * incident * masking)
+        c = dr.fma(-0.25, square, dr.fma(up * (a - 1), up, 1))
+        length = root(dr.fma(c, c, a * square))
+        masking = incident + root(dr.fma(incident * (1 - a), incident, a))
+        means.append(4 / np.pi * a * incident * dr.rcp(length * (length + c) * masking))
     return means
 
 

@@ -2,12 +2,12 @@
 
 Within a cell of radius rho, the half vector rotates by up to rho / (2 cos theta_d), where theta_d
 is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2
-theta_h. Cells with large rho^2 / (s cos^2 theta_d), near the mirror direction, are subdivided.
+theta_h. Cells with large rho^2 / (s cos^2 theta_d), near the mirror direction, are subdivided,
+bright cells earlier than dim ones, and so are coarse cells that are partly hidden.
 
 Where normals vary within a texel, lobes narrower than ``BENT`` are averaged over three normals.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Protocol
@@ -19,7 +19,7 @@ import numpy as np
 from svu_mi.core.arrays import fold
 from svu_mi.light.light_tree import LightCells, LightTree
 from svu_mi.light.light_visibility import LightVisibility
-from svu_mi.reflection.lobes import Normals, blurred_ggx, dielectric_fresnel, smith_g1
+from svu_mi.reflection.lobes import Normals, dielectric_fresnel, disk_ggx, smith_g1
 
 NARROW = 0.03  # maximum alpha of narrow lobes; about the distance of leaf cells
 BENT = 0.1  # maximum alpha of lobes that are averaged over normals
@@ -54,11 +54,10 @@ class LobeSums:
     # Not a dataclass, because Dr.Jit would treat the fields as loop state.
 
     def __init__(
-        self, alpha: np.ndarray, channels: int, normals: Normals, direction: Any,
-        profile: Callable[..., list[Any]] = blurred_ggx,
+        self, alpha: np.ndarray, channels: int, normals: Normals, direction: Any
     ) -> None:  # fmt: skip
         self.alpha, self.channels = alpha.tolist(), channels
-        self.normals, self.direction, self.profile = normals, direction, profile
+        self.normals, self.direction = normals, direction
 
     def zeros(self) -> list[Any]:
         """Return empty sums."""
@@ -106,18 +105,18 @@ class LobeSums:
         return result
 
     def _averaged(self, both: Any, inverse: Any, incident: Any, spread: Any) -> list[Any]:
-        """Return the profile of each width for a disk of light, averaged over normals."""
+        """Return ``disk_ggx`` of each width, averaged over normals."""
         around, incident = self.normals.around, dr.maximum(incident, 0)
         split = int(np.searchsorted(self.alpha, BENT)) if around else 0
         several = [
-            self.profile(dr.dot(normal, both) * inverse, incident, self.alpha[:split], spread)
+            disk_ggx(dr.dot(normal, both) * inverse, incident, self.alpha[:split], spread)
             for normal in around if split
         ]  # fmt: skip
         means = [sum(values) / len(around) for values in zip(*several, strict=True)]
         if split == len(self.alpha):
             return means
         up = dr.dot(self.normals.mean, both) * inverse
-        return means + self.profile(up, incident, self.alpha[split:], spread)
+        return means + disk_ggx(up, incident, self.alpha[split:], spread)
 
 
 @dataclass(frozen=True)
@@ -177,20 +176,19 @@ class _Traversal:
     def _coarse(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
         """List a coarse cell or its fine cells; return the next cell, the list and its length."""
         above, lit, large = self._tests(self.tree.coarse, cell)
-        free = self.visibility.coarse.test(cell, self.place)
+        whole = self.visibility.coarse.test(cell, self.place)
 
         def smaller(listed: Any, count: Any) -> tuple[Any, ...]:
             start, end = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
             return fold(start, end, self._fine, listed, count)
 
         def itself(listed: Any, count: Any) -> tuple[Any, ...]:
-            shown = free & lit
-            listed.write(cell, count, shown)
-            return listed, count + dr.select(shown, mi.UInt32(1), 0)
+            listed.write(cell, count, lit)
+            return listed, count + dr.select(lit, mi.UInt32(1), 0)
 
         listed, count = dr.if_stmt(
             args=(listed, count), cond=above, false_fn=lambda *state: state,
-            true_fn=lambda *state: dr.if_stmt(state, large, smaller, itself),
+            true_fn=lambda *state: dr.if_stmt(state, large | ~whole, smaller, itself),
         )  # fmt: skip
         return cell + 1, listed, count
 
@@ -224,4 +222,5 @@ class _Traversal:
         up = dr.dot(self.normal, both)
         # |both| = 2 cos theta_d; both / |both| is the half vector.
         s = dr.fma(-self.flat * up, up, dr.squared_norm(both))
-        return incident > -radius, incident > 0, dr.square(radius) > self.limit * s
+        size = dr.gather(mi.Float, cells.size, cell)
+        return incident > -radius, incident > 0, size > self.limit * s

@@ -101,15 +101,18 @@ def fresnel(cosine, index: float = 1.5):
     return (s**2 + p**2) / 2
 
 
-def blurred(cosine, alpha, square, least: float = 0.3):
-    """GGX averaged over half vectors that turn by up to rho / 2, to first order in rho^2.
+def disk_mean(cosine, alpha, square, nodes: int = 400):
+    """GGX averaged over half vectors in a disk of radius rho / 2, by quadrature over its rings.
 
-    On a plane D goes with 1 / s^2, s = u^2 + alpha^2; the mean of f over a disk of radius a is
-    f + a^2 / 8 (f'' + f' / u), here a factor 1 + rho^2 / s (1/2 - 3 alpha^2 / 4 s).
+    On a plane D is alpha^2 / (pi (alpha^2 + u^2)^2). On a ring of radius r around u, alpha^2 + u^2
+    is A + B cos phi with A = s + r^2 and B = 2 u r, and 1 / (A + B cos phi)^2 has the mean
+    A / (A^2 - B^2)^(3 / 2).
     """
-    s = 1 - cosine**2 + alpha**2 * cosine**2
-    change = square / s * (0.5 - 0.75 * alpha**2 / s)
-    return ggx(cosine, alpha) * np.maximum(1 + change, least)
+    s = (1 - cosine**2 + alpha**2 * cosine**2)[..., None]
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    ring = np.asarray(square)[..., None] / 4 * ((1 + node) / 2)  # r^2, uniform over the disk
+    squares = (s + ring) ** 2 - 4 * np.maximum(s - alpha**2, 0) * ring
+    return alpha**2 / np.pi * ((s + ring) / squares**1.5) @ (weight / 2)
 
 
 def normals_around(n, a, b) -> np.ndarray:
@@ -142,7 +145,7 @@ def reflected(toward, flux, radius, o, n, alpha: float, bend=None) -> np.ndarray
     # In the plane of incidence the half vector turns by half the angle, across it by more.
     square = radius[above] ** 2 * (1 + 1 / along**2) / 2
     normals = normals_around(n, *bend) if alpha < 0.1 else n[None]
-    lobe = np.mean([blurred(half @ each, alpha, square) for each in normals], axis=0)
+    lobe = np.mean([disk_mean(half @ each, alpha, square) for each in normals], axis=0)
     lobe = lobe * g1(toward @ n, alpha) * g1(o @ n, alpha) / (4 * o @ n)
     schlick = (1 - along) ** 5
     return np.stack([(lobe * part) @ flux for part in (1 - schlick, schlick, fresnel(along))])

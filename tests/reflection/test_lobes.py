@@ -10,8 +10,8 @@ from support.helpers import unit_vectors
 
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
-    blurred_ggx,
     dielectric_fresnel,
+    disk_ggx,
     dominance,
     ggx,
     smith_g1,
@@ -127,7 +127,7 @@ def test_light_from_one_direction_is_not_blurred(alpha):
     up, incident = np.linspace(0.05, 1, 40)[:, None], np.linspace(0.01, 1, 40)
     exact = oracle.ggx(up, alpha) * oracle.g1(incident, alpha)
     angles = (float_array(x) for x in np.broadcast_arrays(up, incident))
-    ours = blurred_ggx(*angles, [alpha], 0.0)[0]
+    ours = disk_ggx(*angles, [alpha], 0.0)[0]
     # sin^2 of the half vector in single precision, for narrow lobes.
     keep = np.broadcast_to(1 - up**2 + alpha**2 * up**2 > 1e-3, exact.shape)
     np.testing.assert_allclose(ours.numpy()[keep.ravel()], exact[keep], rtol=1e-3)
@@ -137,11 +137,11 @@ def test_light_from_one_direction_is_not_blurred(alpha):
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
 @pytest.mark.parametrize("rho", [0.02, 0.1, 1.0])
-def test_light_from_a_disk_matches_the_formula(alpha, rho):
+def test_light_from_a_disk_is_the_mean_over_its_rings(alpha, rho):
     """Also for disks larger than the lobe."""
     up, incident = np.linspace(0.3, 0.99, 30), np.linspace(0.05, 1, 30)
-    ours = blurred_ggx(float_array(up), float_array(incident), [alpha], rho**2)[0].numpy()
-    exact = oracle.blurred(up, alpha, rho**2) * oracle.g1(incident, alpha)
+    ours = disk_ggx(float_array(up), float_array(incident), [alpha], rho**2)[0].numpy()
+    exact = oracle.disk_mean(up, alpha, rho**2) * oracle.g1(incident, alpha)
     np.testing.assert_allclose(ours, exact, rtol=2e-4)
 
 
@@ -157,8 +157,8 @@ def test_a_blurred_lobe_is_the_average_over_a_small_disk(alpha, spot):
     rho = 0.3 * float(np.sqrt(s))
     average, center = averages(alpha, tilt, rho)
     up = float_array(np.array([np.cos(tilt)]))
-    ours = float(blurred_ggx(up, mi.Float(1), [alpha], rho**2)[0][0])
-    plain = float(blurred_ggx(up, mi.Float(1), [alpha], 0.0)[0][0])  # also in single precision
+    ours = float(disk_ggx(up, mi.Float(1), [alpha], rho**2)[0][0])
+    plain = float(disk_ggx(up, mi.Float(1), [alpha], 0.0)[0][0])  # also in single precision
     assert ours / plain - 1 == pytest.approx(average / center - 1, rel=0.06, abs=1.5e-3)
 
 

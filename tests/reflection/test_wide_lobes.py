@@ -116,13 +116,21 @@ def below(first: object, seen: np.ndarray) -> np.ndarray:
 def test_unrefined_lobe_is_the_sum_over_visible_cells(
     count: int, bend: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Compare with the exact BRDF of each coarse cell, blurred over its disk and over normals."""
+    """Compare with the exact BRDF of each cell, averaged over its disk and over normals.
+
+    Coarse cells that are partly hidden are replaced by their fine cells.
+    """
     monkeypatch.setattr(wide_lobes, "LARGE", 1e30)
     grid, surface, visibility = surroundings(spotted(), count)
     normal, view = views_of(grid)
-    seen = bits_of(visibility.coarse, count, grid.count)
+    tree, seen = visibility.tree, bits_of(visibility.coarse, count, grid.count)
     assert 0.05 < seen.mean() < 0.5
-    exact = direct(visibility.tree.coarse, seen, normal, view, bend=bend)
+    toward, _, radius = table(tree.coarse)
+    split = ~seen & (toward @ normal.T > -radius[:, None])  # not far below the horizon
+    parts = bits_of(visibility.fine, 512, grid.count) & below(tree.first, split)
+    assert parts.mean() > 0.01
+    exact = direct(tree.coarse, seen, normal, view, bend=bend)
+    exact += direct(tree.fine, parts, normal, view, bend=bend)
     ours = found_by(visibility, surface, view, bend=bend)
     # Cosines of grazing directions have larger relative errors in single precision.
     size = exact.max(axis=3, keepdims=True)
@@ -142,6 +150,16 @@ def test_refined_to_the_last_it_is_the_sum_over_leaves(monkeypatch: pytest.Monke
     ours = found_by(visibility, surface, view)
     # Cells below the horizon are skipped with their leaves.
     np.testing.assert_allclose(ours[1:], exact[1:], rtol=2e-3, atol=1e-4 * float(exact[1:].max()))
+
+
+def test_bright_cells_count_as_larger_and_dim_ones_as_smaller() -> None:
+    tree = build_light_tree(environment(spotted()), 64, 512)
+    mean = tree.fine.flux.numpy()[3::4].mean()
+    for cells in (tree.coarse, tree.fine):
+        _, flux, radius = table(cells)
+        factor = np.clip(np.sqrt(flux.mean(axis=1) / mean), 0.5, 4)
+        assert np.ptp(factor) > 1
+        np.testing.assert_allclose(cells.size.numpy(), factor * radius**2, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from svu_mi.posterior.calibrated import CalibratedKernel, calibrated_posterior
 from svu_mi.posterior.calibrated_fit import noise_of_parts
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
-from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
+from svu_mi.reflection.lobes import dielectric_fresnel, disk_ggx, smith_g1
 from svu_mi.reflection.mix_columns import diffuse_shading, dot
 from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
 from svu_mi.reflection.roughness_levels import roughness_levels
@@ -148,7 +148,7 @@ class Transport:
         spread = 0.5 * (1 + dr.rcp(across * across))
         cell_width = WIDENED**2 * 4 / mi.Float(self.count) * spread
         wide = [dr.sqrt(dr.fma(alpha, alpha, cell_width)) for alpha in widths]
-        lobes = blurred_ggx(up, incident, wide, mi.Float(0))
+        lobes = disk_ggx(up, incident, wide, mi.Float(0))
         scale, schlick = solid * dr.rcp(4 * cosine), (1 - across) ** 5
         diffuse = diffuse_shading("disney", moments, direction, cosine)
         of_widths = zip(widths, lobes, strict=True)
