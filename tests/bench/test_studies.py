@@ -74,7 +74,7 @@ TINY = {
     poses: {"QUICK": {"views": 8, "film": 32, "spp": 2}, "QUICK_TEXELS": 16},
     refine_poses: {"OUTLINES": 1, "COARSE": ((16, 1.0),), "FINE": ((16, 0.5),)},
     reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12,
-                "QUICK_PATHS": (20, 8)},
+                "QUICK_PATHS": (20, 4)},
     verdict: {"QUICK": {"views": 16, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
     table2: {"QUICK_FILM": 24, "QUICK_TEXELS": 16, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
@@ -208,7 +208,7 @@ def test_errors_of_radiance_are_those_of_the_light_and_not_of_the_paths(tmp_path
     _ = observed.distant_light  # read before the scene is replaced
     for scene, expected in ((bright, 0.0), (dim, 0.2)):
         wrong = replace(observed, capture=replace(capture, scene=scene))
-        found = radiance_error(wrong, preset("default", method="angular"), 300, 64)
+        found = radiance_error(wrong, preset("default", method="angular"), 300, 8)
         # Paths differ by .05; the model by .01 (median).
         assert found["radiance median"] == pytest.approx(expected, abs=0.05)
         assert found["radiance rms"] == pytest.approx(expected, abs=0.02)
