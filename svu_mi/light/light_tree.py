@@ -83,12 +83,12 @@ class LightTree:
     def every(self) -> LightCells:
         """Cells of all depths: coarse ones, then fine ones, then leaves."""
         depths = self.coarse, self.fine, self.leaves
-        arrays = (
+        toward, flux, size = (
             to_drjit(mi.Float, np.concatenate([getattr(cells, name).numpy() for cells in depths]))
             for name in ("toward", "flux", "size")
         )
         number = sum(cells.number for cells in depths)
-        return LightCells(*arrays, number, dr.opaque(mi.UInt32, number))
+        return LightCells(toward, flux, size, number, dr.opaque(mi.UInt32, number))
 
 
 @dataclass(frozen=True)
