@@ -240,8 +240,8 @@ def _obj_objects(path: Path) -> list[str]:
     data = path.read_bytes()
     if ZERO.search(data):
         raise MeshError(f"{path}: counts vertices from 0, but OBJ counts from 1; add 1 to indices.")
-    first = re.search(rb"^f\s", data, re.MULTILINE)
-    if first and RELATIVE.search(data) and data.find(b"\nv ", first.start()) >= 0:
+    relative = RELATIVE.search(data)
+    if relative and data.find(b"\nv ", relative.start()) >= 0:
         raise MeshError(
             f"{path}: has relative indices between its vertices; export it with positive indices."
         )

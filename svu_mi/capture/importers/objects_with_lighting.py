@@ -29,11 +29,8 @@ from svu_mi.core.validation import require_views
 from svu_mi.errors import CaptureError, counted
 
 INPUTS = "inputs"
-PLACES = (
-    INPUTS,
-    f"test/{INPUTS}",
-    ".",
-)  # of photographs, relative to a test, to an object, and to itself
+# Places of photographs, relative to a test, to an object, and to itself.
+PLACES = (INPUTS, f"test/{INPUTS}", ".")
 ROTATED, ENVIRONMENT, WORLD_TO_ENV = "env_512_rotated.hdr", "env.hdr", "world_to_env.txt"
 EXPOSURE = "exposure.txt"
 # The data has no mesh; the baseline of the benchmark writes these, with and without UVs.

@@ -5,6 +5,7 @@ import os
 import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -65,7 +66,7 @@ def find_file(
         if found is not None or not moved:
             return found or given
     tails = [parts[-count:] for count in range(min(len(parts), TAIL), 0, -1)]
-    for folders in ([root], _folders(root)):
+    for folders in ([root], _children(root, None)):
         for tail in tails:
             every = [_existing(folder, tail, suffixes) for folder in folders]
             files = [file for file in every if file is not None]
@@ -117,19 +118,18 @@ def _existing(folder: Path, parts: Sequence[str], suffixes: Sequence[str]) -> Pa
     """Return the file with exactly this name, else the only one that is equal but for its form."""
     path = folder.joinpath(*parts)
     exact = (path.with_name(path.name + suffix) for suffix in suffixes)
-    found = next((file for file in exact if file.is_file()), None)
-    if found is not None:
+    if found := next((file for file in exact if file.is_file()), None):
         return found
     *above, last = parts
     for part in above:
         if not (folder / part).is_dir():
-            similar = [child for child in _folders(folder) if _form(child.name) == _form(part)]
+            similar = [child for child in _children(folder, _form(part)) if child.is_dir()]
             if len(similar) != 1:
                 return None
             part = similar[0].name
         folder = folder / part
     forms = {_form(last + suffix) for suffix in suffixes}
-    siblings = [file for file in _children(folder) if _form(file.name) in forms and file.is_file()]
+    siblings = [file for form in forms for file in _children(folder, form) if file.is_file()]
     return siblings[0] if len(siblings) == 1 else None
 
 
@@ -138,14 +138,21 @@ def _form(name: str) -> str:
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
-def _children(folder: Path) -> list[Path]:
+def _children(folder: Path, form: str | None) -> list[Path]:
+    """Return the children of a folder whose name has a form; its subfolders if None."""
     with contextlib.suppress(OSError):
-        return sorted(folder.iterdir())
+        return _listing(folder, folder.stat().st_mtime_ns).get(form, [])
     return []
 
 
-def _folders(folder: Path) -> list[Path]:
-    return [child for child in _children(folder) if child.is_dir()]
+@lru_cache(maxsize=64)  # of thousands of photographs, each is looked for
+def _listing(folder: Path, _: int) -> dict[str | None, list[Path]]:
+    """Return the children of a folder, last changed at a time, by ``form`` of ``_children``."""
+    children = sorted(folder.iterdir())
+    listed: dict[str | None, list[Path]] = {None: [each for each in children if each.is_dir()]}
+    for child in children:
+        listed.setdefault(_form(child.name), []).append(child)
+    return listed
 
 
 def _is_at(root: Path, name: str, file: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,19 @@ def test_several_candidates_are_no_choice(tmp_path, names):
     with pytest.raises(CaptureError, match="lies outside"):
         find_file(tmp_path, "/home/me/c.png", "frame 3")
     assert not find_file(tmp_path, "c.png", "frame 3").exists()
+
+
+def test_folder_is_listed_once_for_many_names(tmp_path, monkeypatch):
+    listed, iterdir = [], Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda path: listed.append(path) or iterdir(path))
+    for k in range(20):
+        (tmp_path / f"img_{k}.jpg").touch()
+    for k in range(20):
+        assert find_file(tmp_path, f"IMG_{k}.JPG", "a").name == f"img_{k}.jpg"
+    assert listed == [tmp_path]
+    (tmp_path / "later.jpg").touch()
+    os.utime(tmp_path, ns=(1, 1))
+    assert find_file(tmp_path, "Later.jpg", "a").name == "later.jpg"
 
 
 def test_links_and_files_elsewhere_are_not_followed_by_name(tmp_path):
