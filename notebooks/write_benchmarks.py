@@ -317,15 +317,18 @@ def predicted(record: Record) -> list[Row]:
 
 def bounces(record: Record) -> list[Row]:
     kinds = {
-        "direct": "direct light in photographs and reference",
-        "photographs": "5 bounces in the photographs",
-        "both": "5 bounces in the photographs, 3 in the reference",
-    }
-    labels = record["cells"][0]["rows"]
-    label = "angular fixed" if "angular fixed" in labels else next(iter(labels))
-    rows = [[f"`{label}`: {words}", both(row[kind] for row in rows_of(record, label)), ""]
-            for kind, words in kinds.items()]  # fmt: skip
-    rows[-1][-1] = f"{both(case['references'] for case in record['cells'])}: of both references"
+        "angular fixed": {"direct": "direct light in photographs and reference",
+                          "both": "all light in both, ignored", "bounces": "the same, `--bounces`"},
+        "angular default": {"estimated": "direct light, estimated noise",
+                            "estimated bounces": "all light in both, `--bounces`"},
+    }  # fmt: skip
+    rows = []
+    for label, of_label in kinds.items():
+        found = rows_of(record, label)
+        for kind, words in of_label.items() if found else ():
+            halves = mean(case["halves"][kind]["spearman"] for case in record["cells"])
+            value = both(row[kind]["spearman"] for row in found)
+            rows.append([f"`{label}`: {words}", value, f"{halves:.3f}: halves of the reference"])
     return rows
 
 
@@ -428,8 +431,8 @@ SECTIONS = (
     ),
     Section(
         "Light between parts of the object",
-        "Estimators assume that light comes straight from the environment. Values are Pearson "
-        "correlations with path-traced entropies when light also bounces within the object.",
+        "Entropy against path tracing (Spearman) where light bounces within the object. The "
+        "reference gives each texel all materials, while the rest of the object keeps its own.",
         {"paths": bounces},
     ),
 )  # fmt: skip

@@ -5,30 +5,49 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.accuracy import agreement
 from svu_mi.bench.compared_estimators import Variant
-from svu_mi.bench.correlation import pearson
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
+from svu_mi.bench.reflected import DEPTH, SIZES
+from svu_mi.bench.scene_light import SAMPLES, scene_light_posteriors
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
+from svu_mi.evaluation.reference_options import Noise
 from svu_mi.geometry.texels import Texels, texels
+from svu_mi.posterior.observations import Observed, observe
 
-DEPTH = 4  # path length of the reference with indirect light
-PHOTOGRAPHS = 6  # path length of the photographs with indirect light
-# Indirect light requires a render of every psi, so only few texels are compared.
-TEXELS, SAMPLES, OBJECTS = 150, 32, 4
-QUICK = (40, 8, 1)
+SIDE = 96  # texels per side
+TEXELS, QUICK = 200, (40, 8)  # texels of the references, and their samples
+
+
+class Kind(NamedTuple):
+    """Comparison of an estimate with a reference.
+
+    Attributes:
+        light: light of photographs and reference, direct or all.
+        bounces: the estimate has ``--bounces``.
+        noise: noise model of the reference.
+    """
+
+    title: str
+    light: str
+    bounces: bool
+    noise: Noise
+
+
 KINDS = {
-    "direct": "direct light",
-    "photographs": "all light in the photographs",
-    "both": "all light in both",
-    "heteroscedastic": "noise grows with radiance",
-    "estimated": "noise is estimated",
+    "direct": Kind("direct light", "direct", False, "relative"),
+    "both": Kind("all light", "all", False, "relative"),
+    "bounces": Kind("all light, `--bounces`", "all", True, "relative"),
+    "heteroscedastic": Kind("direct, growing noise", "direct", False, "heteroscedastic"),
+    "estimated": Kind("direct, estimated noise", "direct", False, "estimated"),
+    "estimated both": Kind("all light, estimated noise", "all", False, "estimated"),
+    "estimated bounces": Kind("the same, `--bounces`", "all", True, "estimated"),
 }
 
 
@@ -38,100 +57,110 @@ class PathsCase(CaseSubject):
 
     Attributes:
         rows: Estimators.
-        texels: Number of texels of the references.
-        samples: Samples per ray of the references.
     """
 
     rows: Sequence[Variant]
-    texels: int = TEXELS
-    samples: int = SAMPLES
 
     def settings(self, row: Variant | None) -> Any:
         how = None if row is None else (row.method, asdict(row.preset))
-        return super().settings(row), self.texels, self.samples, how
+        return super().settings(row), TEXELS, SAMPLES, SIDE, SIZES, how
 
     def head(self) -> Record:
-        """Return ``cell``, number of ``texels``, and correlation between ``references``."""
-        one, other = self.references["photographs"], self.references["both"]
-        kept = one.posterior.observed & other.posterior.observed
-        rho = pearson(one.entropy[kept], other.entropy[kept])
-        return {"cell": self.title, "texels": int(kept.sum()), "references": rho}
+        """Return ``cell``, number of ``texels``, and correlations of ``halves`` of references."""
+        halves = {kind: self._halves(reference) for kind, reference in self.references.items()}
+        return {"cell": self.title, "texels": len(self.chosen), "halves": halves}
 
     def measure(self, row: Variant) -> Record:
-        """Return Pearson's correlation of an estimator with each reference, by kind."""
-        entropies = {id(capture): np.array(row.estimate(capture, self.layout).entropy, float)
-                     for capture in self.captures}  # fmt: skip
-        correlations = {}
-        for kind, reference in self.references.items():
-            seen = reference.posterior.observed
-            entropy = entropies[id(self.capture_of(kind))][reference.subset[seen]]
-            correlations[kind] = pearson(entropy, reference.entropy[seen])
-        return correlations
+        """Return the correlation of an estimator with each reference, by kind."""
+        estimates = {}
+        for light, bounces in {(kind.light, kind.bounces) for kind in KINDS.values()}:
+            variant = replace(row, switches={**row.switches, "bounces": True}) if bounces else row
+            if not bounces or (row.method == "angular" and row.preset.with_surfaces):
+                found = variant.estimate(self.captures[light], self.layout)
+                estimates[light, bounces] = np.array(found.entropy, float)[self.chosen]
+        kept = {name: estimates.get((kind.light, kind.bounces)) for name, kind in KINDS.items()}
+        return {name: self._agreement(entropy, self.references[name])
+                for name, entropy in kept.items() if entropy is not None}  # fmt: skip
+
+    def _agreement(self, entropy: np.ndarray, reference: Any) -> dict[str, float]:
+        seen = reference.posterior.observed
+        return agreement(entropy[seen], reference.entropy[seen])
+
+    def _halves(self, reference: Any) -> dict[str, float]:
+        halves, seen = reference.split_half(), reference.posterior.observed
+        return agreement(halves.first[seen], halves.second[seen])
 
     @cached_property
-    def captures(self) -> tuple[Capture, Capture]:
-        """Captures with direct light, and with direct and indirect light."""
-        lit = replace(self.case, defines={**self.case.defines, "max_depth": str(PHOTOGRAPHS)})
-        return self.bench.capture(self.case), self.bench.capture(lit, "capture_all_light")
-
-    def capture_of(self, kind: str) -> Capture:
-        """Return the capture for a kind in ``KINDS``."""
-        return self.captures[kind in ("photographs", "both")]
+    def captures(self) -> dict[str, Capture]:
+        """Captures with direct and with all light, those of ``svu bench reflected``."""
+        lit = replace(self.case, defines={**self.case.defines, "max_depth": DEPTH})
+        sizes = self.bench.sizes.shared if self.bench.quick else SIZES
+        sizes = {name: sizes[name] for name in SIZES}
+        return {
+            "direct": self.bench.capture(self.case, "reflected", **sizes),
+            "all": self.bench.capture(lit, "reflected-bounces", **sizes),
+        }
 
     @cached_property
     def layout(self) -> Texels:
         """Texels of the object."""
-        return texels(self.captures[0].mesh, self.bench.sizes.texels)
+        return texels(self.captures["direct"].mesh, SIDE)
+
+    @cached_property
+    def observed(self) -> dict[str, Observed]:
+        """Visibility in both captures."""
+        return {name: observe(capture, self.layout) for name, capture in self.captures.items()}
+
+    @cached_property
+    def chosen(self) -> np.ndarray:
+        """Random texels, (n,) int64."""
+        seen = np.flatnonzero(self.observed["direct"].coverage)
+        count = min(QUICK[0] if self.bench.quick else TEXELS, len(seen))
+        random = np.random.default_rng(self.bench.sizes.seed)
+        return np.sort(random.choice(seen, count, replace=False))
 
     @cached_property
     def references(self) -> dict[str, Any]:
         """Path-traced posteriors of the same texels, by kind."""
-
-        def traced(kind: str, **changes: Any) -> Any:
-            return reference_of(
-                self.bench, self.capture_of(kind), self.layout, spp=self.samples, **changes
-            )
-
-        plain = traced("direct", subset=self.texels)
-        how: dict[str, dict[str, Any]] = {
-            "photographs": {},
-            "both": {"method": "brute", "max_depth": DEPTH},
-            "heteroscedastic": {"noise": "heteroscedastic"},
-            "estimated": {"noise": "estimated"},
-        }
-        others = {kind: traced(kind, subset=plain.subset, **one) for kind, one in how.items()}
-        return {"direct": plain, **others}
+        samples, made = QUICK[1] if self.bench.quick else SAMPLES, {}
+        for light, observed in self.observed.items():
+            models = sorted({kind.noise for kind in KINDS.values() if kind.light == light})
+            depth = int(DEPTH) if light == "all" else 2
+            found = scene_light_posteriors(observed, self.chosen, models, depth, samples)
+            made.update({(light, model): each for model, each in zip(models, found, strict=True)})
+        return {name: made[kind.light, kind.noise] for name, kind in KINDS.items()}
 
 
 def _experiment(bench: BenchRun, selection: Selection) -> Experiment:
-    first = {case.object: case for case in reversed(selection.cases)}
-    count, samples, objects = QUICK if bench.quick else (TEXELS, SAMPLES, OBJECTS)
-    chosen = list(first.values())[::-1][:objects]
-    subjects = (PathsCase(bench, case, selection.variants, count, samples) for case in chosen)
+    subjects = (PathsCase(bench, case, selection.variants) for case in selection.cases)
     return Experiment("paths", subjects)
 
 
 def tables(record: Record) -> list[str]:
-    """Return a table with one line per case and estimator."""
-    shown = (
-        Column("object / light", lambda line: line[0]["cell"]),
-        Column("map", lambda line: line[1]),
-        *(Column(title, lambda line, kind=kind: line[2][kind], digits(2))  # type: ignore[misc]
-          for kind, title in KINDS.items()),
-        Column("both references", lambda line: line[0]["references"], digits(2)),
-    )  # fmt: skip
-    lines = [(case, label, row) for case in record["cells"] for label, row in case["rows"].items()]
+    """Return a table of each correlation, with one line per case and estimator."""
+    lines = [(case["cell"], label, row) for case in record["cells"]
+             for label, row in [("halves of the reference", case["halves"]),
+                                *case["rows"].items()]]  # fmt: skip
+
+    def value(kind: str, correlation: str) -> Column:
+        title = KINDS[kind].title
+        return Column(title, lambda line: line[2].get(kind, {}).get(correlation), digits(3))
+
+    def table(correlation: str) -> str:
+        names = Column("object / light", lambda line: line[0]), Column("map", lambda line: line[1])
+        return tabulate((*names, *(value(kind, correlation) for kind in KINDS)), lines)
+
     most = max((case["texels"] for case in record["cells"]), default=0)
     return [
-        f"Pearson correlation with references that render every psi, on up to {most} texels. "
-        "Direct light: in photographs and reference. All light in the photographs: up to 5 "
-        "bounces, reference with direct light. All light in both: the same photographs, reference "
-        "with up to 3 bounces, in which the whole object has the rendered psi. The next columns "
-        "have direct light and noise that grows with radiance, or that is estimated as by "
-        "`default` and `fast`. The last column compares both references with each other.",
-        tabulate(shown, lines),
+        f"Pearson correlation with path-traced posteriors of up to {most} texels. All light: up to "
+        "5 bounces in photographs and reference, which gives each texel all materials while the "
+        "rest of the object keeps its own. Noise is as assumed by `fixed`, grows with radiance, or "
+        "is estimated as by `default`.",
+        table("pearson"),
+        "Spearman correlation:",
+        table("spearman"),
     ]
 
 
-STUDY = Study(title="Indirect light and other noise", experiment=_experiment,
+STUDY = Study(title="Indirect light and other noise", experiment=_experiment, own_sizes=True,
               tables=tables)  # fmt: skip

@@ -4,6 +4,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -29,6 +30,7 @@ from svu_mi.presets import AngularPreset, Errors
 from svu_mi.statistics.statistics import noise_weight
 
 LANES = 1 << 20  # (texel, view) pairs per batch, visible or not
+Renderer = Callable[[UniformScene, VisiblePairs, tuple[int, int]], Render]  # batch k of n
 
 
 def reference_posterior(
@@ -90,38 +92,34 @@ def reference_posterior(
     seen = observations_of(source, texels, progress)
     chosen = _choose_texels(wanted, seen.visibility, capture, seed)
     with progress.stage("Tracing the reference") as stage:
-        traced = _trace(seen, chosen, options, stage.update)
+        traced = trace_tables(seen, chosen, options, partial(_renderer, options, stage.update))
     if path is not None:
         cached.store(path, traced)
     return Reference.of(traced, options, cached=False)
 
 
-def _trace(
-    observed: Observed,
-    chosen: np.ndarray,
-    options: ReferenceOptions,
-    update: Callable[[int, int], None],
+def trace_tables(
+    observed: Observed, chosen: np.ndarray, options: ReferenceOptions, renderer: Renderer
 ) -> TracedTables:
-    """Trace the texels in batches of bounded memory."""
+    """Trace (n,) ``chosen`` texels in batches of bounded memory."""
     dr.sync_thread()
     start = time.perf_counter()
     target, estimated = UniformScene.of(observed.capture), options.noise == "estimated"
     size = max(LANES // observed.views.number, 1)
     batches = [chosen[first : first + size] for first in range(0, len(chosen), size)]
-    total, rays, dropped = len(batches) * options.renders, 0, 0
-    tables, weights, brightness, coverage = [], [], [], []
+    tables, weights, brightness, coverage, rays, dropped = [], [], [], [], 0, 0
     for number, batch in enumerate(batches):
         pairs = visible_pairs(observed, to_drjit(mi.UInt32, batch.astype(np.uint32)), target)
-        renderer = _renderer(target, pairs, options, number, lambda done: update(done, total))
+        render = renderer(target, pairs, (number, len(batches)))
         mean = TexelMeans(pairs.texel, len(batch))
         weight = _weights(pairs, observed, options.noise)
         weighted = replace(mean, weight=weight)
         if estimated:
-            tables.append(render_sums(pairs.radiance, weighted, options.levels, renderer))
+            tables.append(render_sums(pairs.radiance, weighted, options.levels, render))
             weights.append(weighted.total(np.ones(pairs.count)))
         else:
             derive = derive_all if options.method == "linear" else render_all
-            tables.append(derive(pairs.observed, weighted, options.grid, renderer))
+            tables.append(derive(pairs.observed, weighted, options.grid, render))
         brightness.append(mean.mean(pairs.observed))
         coverage.append(mean.pairs)
         rays += pairs.count * options.renders * options.spp
@@ -147,21 +145,22 @@ def _weights(pairs: VisiblePairs, observed: Observed, noise: Noise) -> np.ndarra
 
 
 def _renderer(
-    target: UniformScene, pairs: VisiblePairs, options: ReferenceOptions, batch: int,
-    update: Callable[[int], None],
+    options: ReferenceOptions, update: Callable[[int, int], None], target: UniformScene,
+    pairs: VisiblePairs, batch: tuple[int, int],
 ) -> Render:  # fmt: skip
     """Return a function that renders a material psi for a batch of (texel, view) pairs."""
     integrator = mi.load_dict({"type": "path", "max_depth": options.max_depth})
     # A seed per batch, shared by all psi.
-    seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))
-    done = itertools.count(batch * options.renders + 1)
+    number, batches = batch
+    seed = int(np.random.default_rng((options.seed, number)).integers(2**63))
+    done, total = itertools.count(number * options.renders + 1), batches * options.renders
 
     def render(psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         if not pairs.count:
             return np.zeros((0, 3)), np.zeros((0, 3))
         target.paint(psi)
         halves = trace(target.scene, integrator, pairs.rays, options.spp, seed)
-        update(next(done))
+        update(next(done), total)
         return halves
 
     return render

@@ -70,7 +70,7 @@ TINY = {
     plain_balls: {"QUICK_FILM": 16, "TEXELS": 16},
     scaling: {"QUICK": scaling.ScalingSizes(
         resolutions=(12, 16, 24), views=(3, 4, 6), resolution=16, photographs=(6, 24), repeats=1)},
-    paths: {"QUICK": (12, 2, 1)},
+    paths: {"QUICK": (12, 2), "SIDE": 16},
     poses: {"QUICK": {"views": 8, "film": 32, "spp": 2}, "QUICK_TEXELS": 16},
     refine_poses: {"OUTLINES": 1, "COARSE": ((16, 1.0),), "FINE": ((16, 0.5),)},
     reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12,
