@@ -54,18 +54,17 @@ def trace_panorama(capture: Capture, scene: Any, integrator: Any) -> Panorama:
     toward = directions(2 * (ROWS - 1), ROWS)
     world = to_drjit(mi.Vector3f, toward.reshape(-1, 3).T.astype(np.float32))
     met = alone.ray_intersect_preliminary(mi.Ray3f(center, world))
-    start = center + (1 - BEFORE) * met.t * world
+    ray = mi.RayDifferential3f(center + (1 - BEFORE) * met.t * world, world)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, 0), dr.width(world))
 
     def add(path: Any, sampler: Any, total: Any) -> tuple[Any, ...]:
-        ray = mi.RayDifferential3f(start, world)
         color, _, _ = integrator.sample(scene, sampler, ray, None, met.is_valid())
         return path + 1, sampler, total + dr.select(dr.all(dr.isfinite(color)), color, 0)
 
     number = dr.opaque(mi.UInt32, PATHS)
     _, total = fold(0, number, add, sampler, dr.zeros(mi.Color3f, dr.width(world)))
-    total = dr.select(met.is_valid(), total / mi.Float(number), 0)
-    covered = dr.select(met.is_valid(), mi.Float(1), 0)
-    pixels = np.stack([x.numpy() for x in (*total, covered)], axis=1)
+    values = [*(total / mi.Float(number)), mi.Float(met.is_valid())]
+    dr.eval(values)  # together, so that paths are traced once
+    pixels = np.stack([x.numpy() for x in values], axis=1)
     return Panorama(center, lat_long_texture(pixels.reshape(*toward.shape[:2], 4)))

@@ -66,19 +66,23 @@ class NearSurfaces:
     def _shaded(self, ray: Any, met: Any) -> Any:
         """Return the radiance of hits of the object toward the origins of rays, Color3f."""
         assert self.shown is not None
-        hit = met.compute_surface_interaction(ray, mi.RayFlags.All)
+        shape = self.scene.shapes()[0]  # a virtual call would depend on all shapes in memory
+        hit = shape.compute_surface_interaction(ray, met, mi.RayFlags.All)
         toward, normal = -ray.d, mi.Vector3f(hit.sh_frame.n)
         front = dr.dot(hit.n, toward) > 0
         diffuse, paint = self.shown.at(hit.uv)
         light, (A, B, D) = lobe_light(self.shown.light, diffuse.w, normal, toward)
         mirror = mirror_direction(normal, toward)
         up = front & (dr.dot(hit.n, mirror) > 0)
-        behind = self.scene.ray_intersect(hit.spawn_ray(mirror), mi.RayFlags.UV, False, up)
-        met = up & behind.is_valid()
-        glow = self.scene.shapes()[0].emitter().eval(behind, met & self._is_object(behind))
-        glow += self._of_others(behind.p, behind, met)
-        light = [dr.select(met, own, dr.select(up, distant, 0))
-                 for own, distant in zip(glow, light, strict=True)]  # fmt: skip
+        light = [dr.select(up, distant, 0) for distant in light]
+        ray = hit.spawn_ray(mirror)
+        met = self.scene.ray_intersect_preliminary(ray, False, up)
+        hidden = up & met.is_valid()
+        behind = shape.compute_surface_interaction(ray, met, mi.RayFlags.UV)
+        behind.wi.z = -dr.dot(behind.n, mirror)
+        glow = shape.emitter().eval(behind, hidden & self._is_object(met))
+        glow += self._of_others(ray(met.t), met, hidden)
+        light = [dr.select(hidden, own, distant) for own, distant in zip(glow, light, strict=True)]
         parts = [(mi.Float(0), A * value, B * value, D * value) for value in light]
         shine = mixed_radiance(parts, [paint.x, paint.y, paint.z], [paint.w])
         color = mi.Color3f(diffuse.x, diffuse.y, diffuse.z) + mi.Color3f(*shine)

@@ -95,13 +95,9 @@ class ReflectionModel:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = visibility.diffuse(surface, lighting, channels)
-        near, lamps, flash = None, None, None
-        if light.near is not None:
-            near = NearLobes.of(light.near, channels, alpha, switches)
-        if light.lamps is not None:
-            lamps = LampLobes(light.lamps, channels, alpha)
-        if light.flash is not None:
-            flash = FlashLobes(light.flash, channels, alpha)
+        near = None if light.near is None else NearLobes.of(light.near, channels, alpha, switches)
+        lamps = None if light.lamps is None else LampLobes(light.lamps, channels, alpha)
+        flash = None if light.flash is None else FlashLobes(light.flash, channels, alpha)
         for others in (light.near, light.lamps):
             if others is not None:
                 grey = [[sum(x) / 3 for x in zip(*others.moments, strict=True)]]
