@@ -316,19 +316,20 @@ def predicted(record: Record) -> list[Row]:
 
 
 def bounces(record: Record) -> list[Row]:
-    kinds = {
-        "angular fixed": {"direct": "direct light in photographs and reference",
-                          "both": "all light in both, ignored", "bounces": "the same, `--bounces`"},
-        "angular default": {"estimated": "direct light, estimated noise",
-                            "estimated bounces": "all light in both, `--bounces`"},
-    }  # fmt: skip
+    shown = (
+        ("angular fixed", "direct light", "direct", None, ""),
+        ("angular fixed", "all light, `--bounces`", "bounces", "both", "without it"),
+        ("angular default", "all light, `--bounces`", "estimated bounces", "estimated",
+         "direct light"),
+    )  # fmt: skip
     rows = []
-    for label, of_label in kinds.items():
-        found = rows_of(record, label)
-        for kind, words in of_label.items() if found else ():
-            halves = mean(case["halves"][kind]["spearman"] for case in record["cells"])
-            value = both(row[kind]["spearman"] for row in found)
-            rows.append([f"`{label}`: {words}", value, f"{halves:.3f}: halves of the reference"])
+    for label, words, kind, other, of_other in shown:
+        found = [row for row in rows_of(record, label) if kind in row]
+        halves = mean(case["halves"][kind]["spearman"] for case in record["cells"])
+        values, beside = ([row[name]["spearman"] for row in found if name in row]
+                          for name in (kind, other))  # fmt: skip
+        compared = f"{both(beside)}: {of_other}" if beside else f"{halves:.3f}: halves of the paths"
+        rows += [[f"`{label}`: {words}", both(values), compared]] if found else []
     return rows
 
 

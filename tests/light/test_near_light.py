@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
 from oracle.angular import albedo, fresnel, reflectance
-from support.helpers import STUDIO, memory_capture, render_views, run, write_ball
+from support.helpers import STUDIO, launched_kernels, memory_capture, render_views, run, write_ball
 from support.walled import BLACK, angular
 
 import svu_mi as svu
@@ -25,7 +25,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import band_limited_lighting, lat_long_texture
 from svu_mi.light.environment import read_environment
 from svu_mi.light.near_light import trace_near_light
-from svu_mi.light.panorama import Panorama, trace_panorama
+from svu_mi.light.panorama import ROWS, Panorama, trace_panorama
 from svu_mi.posterior.object_appearance import near_surfaces
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
@@ -313,6 +313,13 @@ def test_a_table_is_as_bright_as_path_traced(tables):
     assert real.shape[1] > 200 and real.std() > 0.2 * real.mean()
     assert np.abs(found.mean() / real.mean() - 1) < 0.02
     assert np.sqrt(np.square(found - real).mean()) < 0.08 * real.mean()
+
+
+def test_paths_to_a_table_are_traced_once_for_all_channels(tables):
+    scene, integrator = surroundings(tables[1], np.zeros((8, 8, 3)))
+    with launched_kernels() as kernels:
+        trace_panorama(tables[1], scene, integrator)
+    assert sum(kernel["size"] == 2 * (ROWS - 1) * ROWS for kernel in kernels) == 1
 
 
 def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():
