@@ -17,7 +17,7 @@ from svu_mi.reflection.wide_lobes import Lobe
 
 FAINT = 0.02  # minimum sum of weights
 RAYS, WIDTHS = 40, (0.02, 0.05, 0.1, 0.2, 0.5)  # number of rays of each sample, and their alpha
-FIRST = 10  # rays after which samples stop if no light is met
+FIRST = 10  # rays after which samples stop that met no light
 NARROWEST = 0.01  # smallest alpha of lobes that they sample
 GRAZING = 0.01  # smallest cosine of their viewing angle
 LATTICE = 0.7548776662466927, 0.5698402909980532  # steps of Roberts' R2 sequence
@@ -83,8 +83,7 @@ class NearLobes:
             weights = [ggx(normal.z, a) * g * smith_g1(incident, a) * scale for a, g in lobes]
             added = [weight * value for weight in weights for value in (1, *color)]
             sums = tuple(old + new for old, new in zip(sums, added, strict=True))
-            dark = (ray + 1 == FIRST) & (sum(sums[-3:]) == 0)
-            return dr.select(dark, RAYS, ray + 1), *sums
+            return dr.select((ray + 1 == FIRST) & (sum(sums[-3:]) == 0), RAYS, ray + 1), *sums
 
         zero = dr.zeros(mi.Float, surface.count)
         rays = dr.select(active, dr.opaque(mi.UInt32, RAYS), 0)
