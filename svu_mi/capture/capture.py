@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.quantization import Rounding, Saturation
 from svu_mi.core.io.array_cache import ArrayCache
-from svu_mi.errors import counted, warn
+from svu_mi.errors import OptionError, counted, warn
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,12 @@ class Capture:
     cache: ArrayCache = ArrayCache()
     exposures_known: bool = True
     exposures_relative: bool = False
+
+    def __reduce__(self) -> NoReturn:
+        raise OptionError(
+            "A capture contains a Mitsuba scene, which cannot be pickled or copied; load it again, "
+            "in each process. Texels, posteriors and images can be pickled."
+        )
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -30,12 +30,12 @@ LONGEST = 60  # characters of a value in a message
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a public function that refuses arguments of other types than annotated.
+    """Return a public function or method that refuses arguments of other types than annotated.
 
     Lists become arrays if arrays are annotated. The function raises OptionError, and belongs to the
     package ``svu_mi``, where ``pickle`` finds it.
     """
-    signature = inspect.signature(function)
+    signature, label = inspect.signature(function), f"{function.__qualname__}()"
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -43,13 +43,13 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
             bound = signature.bind(*args, **kwargs)
         except TypeError as error:
             known = ", ".join(signature.parameters)
-            raise OptionError(f"{function.__name__}(): {error}; it has {known}.") from None
+            raise OptionError(f"{label}: {error}; it has {known}.") from None
         for name, value in bound.arguments.items():
             parameter = signature.parameters[name]
-            if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            if parameter.kind is parameter.VAR_KEYWORD or parameter.annotation is parameter.empty:
                 continue
             if problem := mismatch(value, parameter.annotation):
-                raise OptionError(f"{function.__name__}(): {name}{problem}")
+                raise OptionError(f"{label}: {name}{problem}")
             if isinstance(value, list | tuple) and np.ndarray in _choices(parameter.annotation):
                 bound.arguments[name] = np.asarray(value)
         return function(*bound.args, **bound.kwargs)

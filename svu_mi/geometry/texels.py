@@ -15,6 +15,7 @@ from svu_mi.capture.normal_map import normal_map
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.uv_charts import covering_faces
 from svu_mi.core.arrays import to_drjit
+from svu_mi.core.validation import indices_of
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.geometry.mapped_normals import mapped_normals
 
@@ -103,14 +104,14 @@ class Texels:
 
     def subset(self, numbers: np.ndarray) -> "Texels":
         """Return the texels of given numbers in [0, T), which may repeat."""
-        chosen = to_drjit(mi.UInt32, numbers.astype(np.uint32))
+        chosen = indices_of(numbers, self.count, "Texels.subset()", "texel")
         values: dict[str, Any] = {
             name: getattr(self, name) for name in (
                 "index", "face", "position", "normal", "geometric_normal", "uv", "footprint",
                 "sides", "turns",
             )
         }  # fmt: skip
-        taken = dr.gather(dict, values, chosen)
+        taken = dr.gather(dict, values, to_drjit(mi.UInt32, chosen.astype(np.uint32)))
         dr.eval(taken)
         return replace(self, **taken)
 

@@ -13,6 +13,7 @@ from svu_mi.capture.importers.nerf import read_transforms
 from svu_mi.capture.importers.resampling import square_pixel_frame
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene
 from svu_mi.capture.sensors import sensors_like
+from svu_mi.core.checked_arguments import checked
 from svu_mi.core.io.files import read_json
 from svu_mi.core.validation import indices_of
 from svu_mi.errors import CaptureError, OptionError, ShapeError
@@ -66,12 +67,14 @@ class Candidates:
         return len(self.sensors)
 
     @staticmethod
+    @checked
     def of(sensors: Sequence[Any]) -> "Candidates":
         """Return candidates from Mitsuba sensors; all are reachable."""
         names = tuple(sensor.id() or f"candidate_{i:04d}" for i, sensor in enumerate(sensors))
         return Candidates(tuple(sensors), names, np.ones(len(sensors), bool))
 
     @staticmethod
+    @checked
     def without_photograph(capture: Capture) -> "Candidates":
         """Return the sensors of a capture that have no photograph in use.
 
@@ -89,7 +92,8 @@ class Candidates:
         return Candidates.at(capture, left)
 
     @staticmethod
-    def at(capture: Capture, views: Sequence[int]) -> "Candidates":
+    @checked
+    def at(capture: Capture, views: Sequence[int] | Sequence[bool]) -> "Candidates":
         """Return the sensors of a capture with indices (or flags) ``views``; all are reachable."""
         chosen = indices_of(views, capture.count, "Candidates.at()", "view")
         sensors = tuple(capture.sensors[view] for view in chosen)
@@ -97,6 +101,7 @@ class Candidates:
         return Candidates(sensors, names, np.ones(len(sensors), bool))
 
     @staticmethod
+    @checked
     def around(
         capture: Capture, count: int = 100, *, up: tuple[float, float, float] | None = None,
         lowest: float = -1.0, distance: float | None = None,
@@ -114,16 +119,12 @@ class Candidates:
         Raises:
             OptionError: a number is out of range, or ``capture`` is not a ``Capture``.
         """
-        if not isinstance(capture, Capture):
-            raise OptionError(
-                f"Candidates.around(): a capture is needed, got a {type(capture).__name__}; read "
-                "one with svu.load_capture(path)."
-            )
         used = capture.used_sensors or capture.sensors
         sensors = sensors_like(used, capture.shape, count, distance=distance, up=up, lowest=lowest)
         return Candidates.of(sensors)
 
     @staticmethod
+    @checked
     def read(path: str | Path) -> "Candidates":
         """Read candidates from a file.
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.core.checked_arguments import checked
 from svu_mi.errors import OptionError
 from svu_mi.geometry.neighbors import texel_squares
 from svu_mi.geometry.texels import Texels
@@ -133,6 +134,7 @@ class Guidance:
         first, block = np.unique(first[block], return_inverse=True)  # in the order of texels
         return chosen[first], block
 
+    @checked
     def image(self, proposal: int = 0) -> np.ndarray:
         """Return the gain of a proposal as an (H, W) float32 texture, 0 outside the charts.
 

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import tensor, to_drjit
-from svu_mi.core.validation import indices_of
+from svu_mi.core.validation import indices_of, require_memory
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
@@ -300,10 +300,11 @@ class Posterior(Generic[K]):
 
         Returns:
             TensorXf (count, T), or (count, T, 3) per channel, by parameter name. Each draw is a
-            joint sample of all parameters. Unseen texels are sampled from the prior.
+            joint sample of all parameters. Unseen texels are sampled from the prior. Errors of the
+            light, which ``sd`` and ``interval`` of base colour include, are not sampled.
 
         Raises:
-            OptionError: a count below 1, or a seed that is not a whole number >= 0.
+            OptionError: a count below 1, a seed below 0, or draws that do not fit in memory.
         """
         for name, value, least in (("count", count, 1), ("seed", seed, 0)):
             if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
@@ -311,6 +312,8 @@ class Posterior(Generic[K]):
                     f"Posterior.draw(): {name} must be a whole number >= {least}, got {value!r}."
                 )
         count, seed, unseen = int(count), int(seed), np.flatnonzero(~self.observed)
+        size = 4 * count * self.count * sum(map(self.kernel.channels_of, self.axes))
+        require_memory(size, f"Posterior.draw(): {count} draws", "draw fewer")
         drawn = {name: np.empty((count, self.count, self.kernel.channels_of(name)), np.float32)
                  for name in self.axes}  # fmt: skip
         known = self.kernel.draws(count, seed, self._seen) if len(self._seen) else {}
@@ -324,11 +327,11 @@ class Posterior(Generic[K]):
 
     def prior_moments(self, name: str) -> tuple[Any, Any]:
         """Return the prior's mean and standard deviation: numbers, or (g,) per channel."""
+        self._check_parameter(name)
         return self.kernel.prior.moments(name)
 
     def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and standard deviation, (T, g); the prior's for unseen texels."""
-        self._check_parameter(name)
         shape = (self.count, self.kernel.channels_of(name))
         mean, sd = (np.broadcast_to(np.asarray(x, np.float32), shape).copy()
                     for x in self.prior_moments(name))  # fmt: skip

@@ -61,8 +61,8 @@ class HeldOutPrediction:
     r2_of_diffuse: float = np.nan
     coverage: float = np.nan
     cause: str = ""
-    photographs: tuple[PartPrediction, ...] = ()
-    sides: Mapping[str, PartPrediction] = field(default_factory=dict)
+    photographs: tuple[PartPrediction, ...] = field(default=(), repr=False)
+    sides: Mapping[str, PartPrediction] = field(default_factory=dict, repr=False)
 
     @property
     def reliable(self) -> bool:

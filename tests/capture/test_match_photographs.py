@@ -169,8 +169,8 @@ def test_a_mistaken_argument_is_named(tmp_path):
     for call, sentence in (
         (lambda: svu.texels("ball.ply", 64),
          "texels(): mesh must be a mesh or a capture, got a str; use capture.mesh."),
-        (lambda: svu.Candidates.around("capture", 5), "Candidates.around(): a capture is needed, "
-         "got a str; read one with svu.load_capture(path)."),
+        (lambda: svu.Candidates.around("capture", 5), "Candidates.around(): capture must be a "
+         "Capture, got 'capture'; use svu.load_capture(path)."),
         (lambda: svu.load_capture(scene),
          f"load_capture(): path must be a str or a Path, got {excerpt(scene, 60)}."),
     ):  # fmt: skip
@@ -275,6 +275,16 @@ def test_arguments_of_wrong_type_are_refused(vase):
          "use svu.texels(capture, resolution)."),
         (lambda: vase.estimate.posterior.interval("roughness", "0.9"),
          "Posterior.interval(): level must be in (0, 1), got '0.9'."),
+        (lambda: svu.Candidates.at(capture, 3), "Candidates.at(): views must be a list, got 3."),
+        (lambda: vase.estimate.posterior.prior_moments("gloss"), "Posterior: unknown parameter "
+         "'gloss'; use roughness or metallic or base_color."),
+        (lambda: vase.texels.subset([-1]), "Texels.subset(): no texel -1; texels are numbered from "
+         f"0 to {vase.texels.count - 1}."),
+        (lambda: svu.TotalVariation(vase.texels, mesh)(None), "TotalVariation: expected a texture "
+         "as mi.TensorXf, got NoneType; wrap it in mi.TensorXf."),
+        (lambda: pickle.dumps(vase.estimate), "A capture contains a Mitsuba scene, which cannot be "
+         "pickled or copied; load it again, in each process. Texels, posteriors and images can be "
+         "pickled."),
         (lambda: vase.estimate.posterior.map([0.5]),
          "Posterior: no texel 0.5; texels are numbered from 0 to "
          f"{vase.texels.count - 1}."),

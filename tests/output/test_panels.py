@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from svu_mi.capture.tonemap import ObjectView, object_only_scene
 from svu_mi.errors import OptionError
 from svu_mi.evaluation.ground_truth import GroundTruth
 from svu_mi.output.panels import (
+    draw_look,
     draw_map,
     draw_marginal,
-    draw_on_object,
     draw_photograph,
     draw_posterior,
     fully_seen,
+    map_colors,
 )
 from svu_mi.output.style import OUTSIDE, UNSEEN
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
@@ -72,7 +74,8 @@ def test_maps_are_grey_where_they_have_no_value(estimate):
 def test_on_the_object_are_the_colours_of_the_map(vase):
     place, twos = axes(), np.full(vase.texels.count, 2.0)
     scale = {"limits": (0, 2), "colormap": "Reds"}
-    draw_on_object(place, vase.capture, fully_seen(vase.texels), 0, twos, **scale)
+    look = ObjectView.at(object_only_scene(vase.capture), vase.capture.sensors[0])
+    draw_look(place, look, map_colors(fully_seen(vase.texels), twos, **scale))
     image = shown(place)[0]
     middle, corner = image[image.shape[0] // 2, image.shape[1] // 2], image[0, 0]
     np.testing.assert_allclose(corner, 1)

@@ -70,7 +70,7 @@ class GlobalSharing(Regularizer):
     """
 
     estimate: Estimate
-    mesh: Any | None = None
+    mesh: Any | None = field(default=None, repr=False)
     _: KW_ONLY
     seeds: Any = SEEDS
     tau: float = TAU

@@ -45,7 +45,7 @@ class Regularizer:
         name, (width, height) = type(self).__name__, self.texels.resolution
         if not isinstance(texture, mi.TensorXf):
             remedy = "wrap it in mi.TensorXf."
-            if dr.is_tensor_v(texture) and not dr.is_float_v(texture):
+            if dr.is_tensor_v(type(texture)) and not dr.is_float_v(type(texture)):
                 remedy = 'no gradient passes; set format="variant" on its bitmap.'
             raise OptionError(
                 f"{name}: expected a texture as mi.TensorXf, got {type(texture).__name__}; {remedy}"

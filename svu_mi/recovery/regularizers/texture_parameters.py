@@ -1,7 +1,7 @@
 """Textures of a scene as parameters of an optimiser."""
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -11,7 +11,7 @@ from svu_mi.errors import OptionError, SceneError, excerpt
 TEXTURE = ".data"  # end of the keys of bitmaps
 
 
-def texture_parameters(params: Any, keys: Iterable[str]) -> dict[str, Any]:
+def texture_parameters(params: Mapping[str, Any], keys: Iterable[str]) -> dict[str, Any]:
     """Return copies of a scene's textures for an optimiser; refuse any without a gradient.
 
     Mitsuba stores 8-bit bitmaps as bytes, through which no gradient passes. An optimiser accepts
@@ -44,7 +44,7 @@ def texture_parameters(params: Any, keys: Iterable[str]) -> dict[str, Any]:
                 f"texture_parameters(): the scene has no texture {excerpt(key)!r}; its textures "
                 f"are {known or 'none'}."
             )
-        if params.flags(key) & mi.ParamFlags.NonDifferentiable:
+        if cast(Any, params).flags(key) & mi.ParamFlags.NonDifferentiable:
             raise SceneError(
                 f"texture_parameters(): {key} is stored as {type(params[key]).__name__}, through "
                 'which no gradient passes; add <string name="format" value="variant"/> to this '

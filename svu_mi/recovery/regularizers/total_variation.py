@@ -47,7 +47,7 @@ class TotalVariation(Regularizer):
     """
 
     texels: Texels
-    mesh: Any | None = None
+    mesh: Any | None = field(default=None, repr=False)
     epsilon: float = field(default=EPSILON, kw_only=True)
     _around: dict[int, tuple[Any, ...]] = field(init=False, repr=False, compare=False)
     _scale: Any = field(init=False, repr=False, compare=False)
