@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import importlib
 import sys
+from typing import Any
 
 import mitsuba as mi
 
-from svu_mi.errors import SvuEnvironmentError
+from svu_mi.core.checked_arguments import mismatch
+from svu_mi.errors import OptionError, SvuEnvironmentError
 
 MODULES = ("svu_entropy", "svu_sh")  # file name = XML type
 _loaded_for: str | None = None
@@ -41,6 +43,14 @@ def require_variant(plugin: str) -> None:
             f"{plugin}: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active; call "
             "mi.set_variant('llvm_ad_rgb') first."
         )
+
+
+def read(props: mi.Properties, name: str, default: Any) -> Any:
+    """Return a property of a plugin; raise an error if its type is not that of ``default``."""
+    value = props.get(name, default)
+    if problem := mismatch(value, type(default)):
+        raise OptionError(f"{props.plugin_name()}: {name}{problem}")
+    return value
 
 
 mi.detail.add_variant_callback(load)

@@ -7,8 +7,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.io.exr import read_exr
-from svu_mi.errors import OptionError, SceneError
-from svu_mi.plugins.registry import require_variant
+from svu_mi.errors import OptionError, SceneError, excerpt
+from svu_mi.plugins.registry import read, require_variant
 
 # Control points at equal steps over [0, 1], sRGB-encoded; interpolated linearly. viridis and
 # inferno approximate matplotlib's colormaps (CC0) to within 0.007.
@@ -26,6 +26,7 @@ COLORMAPS = {
     ),
 }
 AMBIENT = 0.35  # shading factor at grazing angles
+LONGEST = 60  # characters of a value in a message
 
 
 class EntropyIntegrator(mi.SamplingIntegrator):
@@ -109,27 +110,27 @@ class EntropyIntegrator(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         require_variant("svu_entropy")
-        self.colormap = props.get("colormap", "viridis")
+        self.colormap = read(props, "colormap", "viridis")
         if self.colormap not in (*COLORMAPS, "none"):
             raise OptionError(
                 f"svu_entropy: unknown colormap {self.colormap!r}; "
                 f"use {', '.join(COLORMAPS)} or none."
             )
-        self.low, self.high = props.get("range_min", 0.0), props.get("range_max", 1.0)
+        self.low, self.high = read(props, "range_min", 0.0), read(props, "range_max", 1.0)
         if not self.low < self.high:
             raise OptionError(
                 f"svu_entropy: range_min must be below range_max, got {self.low} and {self.high}."
             )
-        self.shape_id = props.get("shape", "")
-        self.background = mi.ScalarColor3f(props.get("background", mi.ScalarColor3f(0)))
-        self.shading = props.get("shading", False)
+        self.shape_id = read(props, "shape", "")
+        self.background = _color(props)
+        self.shading = read(props, "shading", False)
         self.source, self.texture = self._map(props)
         self.table = None if self.colormap == "none" else _table(self.colormap)
 
     def _map(self, props: mi.Properties) -> tuple[str, mi.Texture]:
         """Return the file name of the map, or ``nested texture``, and its texture."""
         given = [props[name] for name in ("filename", "map") if name in props]
-        filter_type = props.get("filter_type", "nearest")
+        filter_type = read(props, "filter_type", "nearest")
         if filter_type not in ("nearest", "bilinear"):
             raise OptionError(
                 f"svu_entropy: filter_type must be nearest or bilinear, got {filter_type!r}."
@@ -216,6 +217,18 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             f"  shading = {self.shading}\n"
             "]"
         )
+
+
+def _color(props: mi.Properties) -> mi.ScalarColor3f:
+    """Return the colour ``background``: an ``<rgb>``, or a number for grey."""
+    value = props.get("background", 0.0)
+    try:
+        return mi.ScalarColor3f(value)
+    except TypeError:
+        raise OptionError(
+            "svu_entropy: background must be an <rgb> or a number, got "
+            f"{excerpt(repr(value), LONGEST)}."
+        ) from None
 
 
 def _has_uvs(shape: mi.Shape) -> bool:

@@ -16,7 +16,7 @@ from svu_mi.geometry.texel_materials import principled_attributes
 from svu_mi.light.band_limited import MomentMap, band_limited_lighting, moment_map
 from svu_mi.light.environment import read_environment
 from svu_mi.parameters import NAMES
-from svu_mi.plugins.registry import require_variant
+from svu_mi.plugins.registry import read, require_variant
 from svu_mi.presets import ANGULAR_PRESETS, preset
 from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
@@ -106,13 +106,13 @@ class ShIntegrator(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         require_variant("svu_sh")
-        name, self.levels = props.get("preset", "default"), props.get("levels", 16)
+        name, self.levels = read(props, "preset", "default"), read(props, "levels", 16)
         if name not in PRESETS:
             raise OptionError(f"svu_sh: unknown preset {name!r}; use {', '.join(PRESETS)}.")
         if not 2 <= self.levels <= 256:
             raise OptionError(f"svu_sh: levels must be in [2, 256], got {self.levels}.")
         self.switches = PRESETS[name]
-        self.occlusion = props.get("occlusion", self.switches.traced)
+        self.occlusion = read(props, "occlusion", bool(self.switches.traced))
         for ignored in ("max_depth", "rr_depth"):
             props.get(ignored, 0)
         self._lights: dict[Any, _Light] = {}
@@ -157,6 +157,10 @@ class ShIntegrator(mi.SamplingIntegrator):
 
     def _light(self, scene: mi.Scene) -> _Light:
         """Return the prefiltered light of a scene, cached until its parameters change."""
+        if dr.flag(dr.JitFlag.FreezingScope):
+            raise OptionError(
+                "svu_sh: dr.freeze cannot record the filtered light; use prb in frozen functions."
+            )
         emitter = find_environment(scene, "svu_sh")
         parameters = dict(mi.traverse(emitter).items())
         key = _identity(emitter, parameters)

@@ -20,7 +20,7 @@ from svu_mi.capture.plugin_security import (
     require_own_plugins,
     search_folder_first,
 )
-from svu_mi.capture.scene_files import check_files, check_xml, name_shapes
+from svu_mi.capture.scene_files import check_files, check_xml, name_objects
 from svu_mi.core.io.schema import LARGEST
 from svu_mi.core.threads import ensure_threads
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
@@ -92,7 +92,7 @@ def load_scene(
             if not trust:
                 refuse_foreign(state, str(path))
             check_files(state, str(path))
-            name_shapes(state)
+            name_objects(state)
             remove_opaque_masks(state)
             if float_textures:
                 store_as_float(state)

@@ -31,6 +31,7 @@ MOST_PARAMETERS = 1000
 LONGEST = 240  # characters of a path in messages
 READERS = ("ply", "serialized", "obj")  # shape plugins that read meshes from files
 KEYS = ("filename", "shape_index")  # properties that select the mesh
+UNNAMED = "_arg_"  # start of the names that Mitsuba makes up
 CORNERS = 12  # bytes of a vertex or triangle of a serialized mesh, at least
 HEADER = 2**12  # bytes before its numbers: flags and a name
 
@@ -158,16 +159,22 @@ def check_files(state: Any, label: str) -> None:
         _check_mesh(settings, f"{label}: {excerpt(_path(settings['filename']), LONGEST)}")
 
 
-def name_shapes(state: Any) -> None:
-    """Give ids to shapes without one: ``mesh.ply``, ``mesh.ply-0`` of several, or ``sphere-2``.
+def name_objects(state: Any) -> None:
+    """Give ids to objects of the scene without one: their ``name``, as ``mi.load_dict`` does.
 
-    Shapes are counted from 0, in the order of ``mi.Scene.shapes()``.
+    ``mi.parser.write_file`` writes the keys of a dictionary as names. Other shapes become
+    ``mesh.ply``, ``mesh.ply-0`` of several, or ``sphere-2``, counted from 0 in the order of
+    ``mi.Scene.shapes()``.
     """
-    children = [node for _, node in state.root.props.items() if hasattr(node, "index")]
-    nodes = [state.nodes[node.index()] for node in children]
-    shapes = [node for node in nodes if node.type == mi.ObjectType.Shape]
-    shapes = [node.props for node in shapes if node.props.plugin_name() != "shapegroup"]
+    children = [(name, node) for name, node in state.root.props.items() if hasattr(node, "index")]
+    named = [(name, state.nodes[node.index()]) for name, node in children]
     taken = {node.props.id() for node in state.nodes}
+    for name, node in named:
+        if not (node.props.id() or name in taken or name.startswith(UNNAMED)):
+            node.props.set_id(name)
+            taken.add(name)
+    shapes = [node.props for _, node in named if node.type == mi.ObjectType.Shape]
+    shapes = [props for props in shapes if props.plugin_name() != "shapegroup"]
     files = [Path(str(props.get("filename", ""))).name for props in shapes]
     counts = Counter(files)
     for number, (props, file) in enumerate(zip(shapes, files, strict=True)):

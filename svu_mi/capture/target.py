@@ -1,7 +1,7 @@
 """The object among a scene's shapes: its choice by name, and its conversion to one mesh.
 
 A name is an id, the id of a BSDF, a number (from 0, in the order of the scene), ``largest
-principled``, or several of them with commas between. ``name_shapes`` gives ids to shapes without.
+principled``, or several of them with commas between. ``name_objects`` gives ids to shapes without.
 """
 
 import shlex

@@ -66,6 +66,22 @@ def test_ids_of_all_sensors_go_before_numbers(tmp_path):
     assert match_photographs(tmp_path, ids).names == [f"{name}.png" for name in ids]
 
 
+def test_keys_of_a_dictionary_name_sensors_and_shape(tmp_path):
+    """``write_file`` writes them as names; the order of files differs from that of the sensors."""
+    keys = ("left", "front", "back")
+    sensors = {key: {"type": "perspective", "fov": 20.0 + k} for k, key in enumerate(keys)}
+    config = mi.parser.ParserConfig(mi.variant())
+    scene = {"type": "scene", **sensors, "ball": {"type": "sphere"}, "other": {"type": "sphere"}}
+    path = tmp_path / "scene.xml"
+    mi.parser.write_file(mi.parser.parse_dict(config, scene), str(path))
+    loaded = load_scene(path)
+    assert [shape.id() for shape in loaded.shapes()] == ["ball", "other"]
+    ids = [sensor.id() for sensor in loaded.sensors()]
+    for name in keys:
+        (tmp_path / f"{name}.exr").touch()
+    assert [path.stem for path in match_photographs(tmp_path, ids).paths] == list(keys)
+
+
 def test_missing_photographs_of_an_import_are_counted(nerf, capsys):
     (nerf / "shots" / "DSC_2.exr").unlink()
     (nerf / "shots" / "DSC_3.exr").unlink()
@@ -92,8 +108,7 @@ def test_without_any_photograph_nothing_is_imported(nerf, capsys):
     for more in ((), ("--missing", "leave-out")):
         assert run(*words(nerf, *more)) == 2
         assert capsys.readouterr().err == (
-            f"svu: {nerf}/transforms.json: 4 of 4 photographs are missing, first shots/DSC_0; move "
-            "them to the paths in the poses.\n"
+            f"svu: {nerf}/shots/DSC_0: no such photograph; move all to the paths in the poses.\n"
         )
 
 

@@ -25,8 +25,8 @@ def test_defaults_are_those_of_the_code(root, name):
     listed = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", rows, re.MULTILINE))
     read = {}
     for node in ast.walk(ast.parse((root / "plugins" / f"{name}.py").read_text())):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "props.get":
-            key, default = node.args
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("read", "props.get"):
+            key, default = node.args[-2:]
             if isinstance(key, ast.Constant) and isinstance(default, ast.Constant):
                 read[key.value] = str(default.value).lower().removesuffix(".0")
     assert len(read) >= 2 and set(read) - UNLISTED <= set(listed)

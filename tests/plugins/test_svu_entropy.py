@@ -180,6 +180,10 @@ def test_xml_finds_the_map_beside_the_scene(tmp_path, file, values):
         ({"range_min": 1.0, "range_max": 1.0}, "range_min must be below"),
         ({"filter_type": "cubic"}, "nearest or bilinear"),
         ({"colour_map": "viridis"}, "colour_map"),
+        ({"range_max": "2"}, r"svu_entropy: range_max must be a number, got '2'\.$"),
+        ({"shading": 1}, r"svu_entropy: shading must be True or False, got 1\.$"),
+        ({"shape": 2}, r"svu_entropy: shape must be a str, got 2\.$"),
+        ({"background": "white"}, r"background must be an <rgb> or a number, got 'white'\.$"),
     ],
 )
 def test_wrong_properties_are_named(file, wrong, sentence):

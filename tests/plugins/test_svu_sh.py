@@ -293,11 +293,24 @@ def test_xml(tmp_path, parallel):
         ({"preset": "paper"}, "unknown preset 'paper'"),
         ({"levels": 1}, r"levels must be in \[2, 256\], got 1"),
         ({"ocllusion": True}, "ocllusion"),
+        ({"levels": 8.0}, r"svu_sh: levels must be a whole number, got 8\.0\.$"),
     ],
 )
 def test_wrong_properties_are_named(wrong, sentence):
     with pytest.raises(Exception, match=sentence):
         load(**wrong)
+
+
+def test_a_frozen_function_is_told_to_use_prb():
+    scene = ball(paint())
+
+    @dr.freeze
+    def frozen(scene):
+        return mi.render(scene, spp=1)
+
+    with pytest.raises(RuntimeError) as caught:  # Dr.Jit's, caused by Mitsuba's and the plugin's
+        frozen(scene)
+    assert "use prb in frozen functions" in str(caught.value.__cause__.__cause__)
 
 
 def test_it_survives_a_change_of_variant(variant):
