@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,11 @@ def require_variant() -> str:
         raise SvuEnvironmentError(
             "No Mitsuba variant is set; call mitsuba.set_variant('llvm_ad_rgb') first."
         )
+    if _first_process() != os.getpid():
+        raise SvuEnvironmentError(
+            "This process is a fork of one that used Dr.Jit, whose threads do not survive a fork; "
+            "start it with multiprocessing.get_context('spawn')."
+        )
     if not re.fullmatch(r"(llvm|cuda|metal)_ad_rgb", variant):
         raise SvuEnvironmentError(
             f"Variant '{variant}' is not supported: entropy needs a vectorised RGB variant; "
@@ -57,6 +63,12 @@ def require_variant() -> str:
         dr.set_flag(dr.JitFlag.FastMath, False)
     pin_own_plugins()
     return variant
+
+
+@cache
+def _first_process() -> int:
+    """Return the id of the first process that asks; its forks inherit the answer."""
+    return os.getpid()
 
 
 def load_scene(
@@ -169,27 +181,21 @@ def check_sensor(sensor: Any, label: str) -> None:
         )
 
 
-def find_environment(scene: Any, path: str) -> Any:
-    """Return the scene's only emitter, which must be an environment emitter."""
-    light = find_light(scene, path)
-    if lamps := lamps_of(scene):
+def find_environment(scene: Any, path: str, flash: Any | None = None) -> Any:
+    """Return the scene's only light, which must be an environment emitter."""
+    lamps = ["a flash"] if flash is not None else [_emitter_name(lamp) for lamp in lamps_of(scene)]
+    if lamps:
         raise SceneError(
-            f"{path}: {_emitter_name(lamps[0])} is not supported here; the light must be one "
-            "distant envmap, constant or sunsky emitter. Estimates with the presets default and "
-            "fixed support lamps."
+            f"{path}: {lamps[0]} is not supported here; the light must be one distant envmap, "
+            "constant or sunsky emitter. Estimates with the presets default and fixed support "
+            "lamps."
         )
-    return light
+    return find_light(scene, path)
 
 
 def environment_of(capture: Any) -> Any:
     """Return the environment emitter of a capture, which must be its only light."""
-    name = str(capture.source or "The scene")
-    if capture.flash is not None:
-        raise SceneError(
-            f"{name}: a flash is not supported here; the light must be one distant envmap, "
-            "constant or sunsky emitter. Estimates with the presets default and fixed support it."
-        )
-    return find_environment(capture.scene, name)
+    return find_environment(capture.scene, str(capture.source or "The scene"), capture.flash)
 
 
 def is_lit(capture: Any) -> bool:

@@ -238,8 +238,7 @@ def size_of(resolution: Any) -> tuple[int, int]:
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return unit normals of faces by their winding, (F, 3), and areas, (F,)."""
     cross = source.crosses
-    length = np.linalg.norm(cross, axis=1)
-    return unit_vectors(cross), length / 2
+    return unit_vectors(cross), np.linalg.norm(cross, axis=1) / 2
 
 
 def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:

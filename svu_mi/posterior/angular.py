@@ -22,7 +22,7 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.presets import preset as find_preset
 from svu_mi.reflection.principled import Mixture, mixture, paper_mixture
-from svu_mi.statistics.cholesky_factors import FLOOR, Factors, apply_factor
+from svu_mi.statistics.cholesky_factors import FLOOR, Factors, apply_factor, squared_length
 from svu_mi.statistics.statistics import Statistics
 
 UNLIKELY = 1e30  # energy of a bin that the prior excludes; finite in single precision
@@ -239,7 +239,8 @@ def _bins(problem: AngularProblem, column: Any, U: list[Any]) -> list[Any]:
         return [_error_at_best_diffuse(U, paper_mixture(Ks)) for Ks in nodes]
     mix = mixture(*row_entropy.row_values(mi.Float, problem.mixed, column))
     u, v = (apply_factor(U, x)[:-1] for x in (mix.slope, mix.offset))
-    return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
+    mixed = [[dr.fma(a, c, b) for a, b in zip(u, v, strict=True)] for c in nodes]
+    return [squared_length(components, U[FLOOR]) for components in mixed]
 
 
 def _error_at_best_diffuse(U: list[Any], mix: Mixture) -> Any:
@@ -248,12 +249,4 @@ def _error_at_best_diffuse(U: list[Any], mix: Mixture) -> Any:
     slope = U[0]
     inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
     first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)
-    return _square([first, *others], U[FLOOR])
-
-
-def _square(components: list[Any], floor: Any) -> Any:
-    """Return |U x|^2, given the square ``floor`` of the last component."""
-    total = floor
-    for x in reversed(components):
-        total = dr.fma(x, x, total)
-    return total
+    return squared_length([first, *others], U[FLOOR])

@@ -18,7 +18,7 @@ from svu_mi.posterior.calibrated_problem import CalibratedProblem
 from svu_mi.posterior.truncated_normal import FULL_SUPPORT, ChannelLikelihood, ColorIntegrals
 from svu_mi.reflection.principled import Mixture, mixture
 from svu_mi.reflection.roughness_levels import SPLINE_LEVELS
-from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor
+from svu_mi.statistics.cholesky_factors import FLOOR, PAIRS, apply_factor, squared_length
 
 FAR = 23.0  # energy above the best node [nats], prior included, from which a node is skipped
 
@@ -226,10 +226,7 @@ class NodeIntegrator:
 
 def energy_at(U: list[Any], x: list[Any]) -> Any:
     """Return 1/2 |U x|^2: Float."""
-    energy = U[FLOOR]
-    for component in reversed(apply_factor(U, x)[:-1]):
-        energy = dr.fma(component, component, energy)
-    return 0.5 * energy
+    return 0.5 * squared_length(apply_factor(U, x)[:-1], U[FLOOR])
 
 
 def _sample_index(parts: list[Any], random: Any) -> Any:

@@ -21,7 +21,7 @@ from svu_mi.capture.up_direction import up_direction
 from svu_mi.core.arrays import to_drjit
 from svu_mi.core.io.array_cache import ArrayCache
 from svu_mi.core.progress import Progress
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError, OptionError, counted
 from svu_mi.frequency.fit_samples import MirroredLight
 from svu_mi.frequency.sh_lobes import ShLobes
 from svu_mi.geometry.packed_views import Views, pack_views
@@ -394,7 +394,7 @@ def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False)
     used = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
     blind = [name for name, count in zip(used, counts, strict=True) if count == 0]
     if blind:
-        log.warning("%d photographs show no texel: %s", len(blind), ", ".join(blind[:5]))
+        log.warning("No texel in %s: %s", counted(len(blind), "photograph"), ", ".join(blind[:5]))
 
 
 def require_range(radiance: float) -> None:

@@ -189,6 +189,14 @@ def apply_factor(U: list[Any], x: Sequence[Any]) -> list[Any]:
     return product
 
 
+def squared_length(components: list[Any], floor: Any) -> Any:
+    """Return |U x|^2, given the square ``floor`` of the last component."""
+    total = floor
+    for x in reversed(components):
+        total = dr.fma(x, x, total)
+    return total
+
+
 def factorize(
     columns: list[Any], weight: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
 ) -> Factors:

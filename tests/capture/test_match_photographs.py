@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import pickle
 from pathlib import Path
 
@@ -202,6 +203,20 @@ def test_another_variant_is_named_before_any_work(variant, vase):
                 call(vase.capture)
     finally:
         mi.set_variant(variant)
+
+
+@pytest.mark.forks
+def test_a_fork_is_refused(variant):
+    """Dr.Jit would wait for ever for its threads, which only the first process has."""
+    if (pid := os.fork()) == 0:
+        try:
+            mi.set_variant(variant)
+            svu.load_capture("capture")
+        except SvuEnvironmentError as error:
+            os._exit(7 if "multiprocessing.get_context('spawn')" in str(error) else 1)
+        finally:
+            os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
 
 
 def test_version_and_several_values(capsys):
