@@ -104,10 +104,7 @@ class Capture:
     exposures_relative: bool = False
 
     def __reduce__(self) -> NoReturn:
-        raise OptionError(
-            "A capture contains a Mitsuba scene, which cannot be pickled or copied; load it again, "
-            "in each process. Texels, posteriors and images can be pickled."
-        )
+        raise OptionError("A Mitsuba scene cannot be pickled or copied; load the capture again.")
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -49,8 +49,7 @@ def require_variant() -> str:
         )
     if _first_process() != os.getpid():
         raise SvuEnvironmentError(
-            "This process is a fork of one that used Dr.Jit, whose threads do not survive a fork; "
-            "start it with multiprocessing.get_context('spawn')."
+            "Dr.Jit hangs in forks of a process; use multiprocessing.get_context('spawn')."
         )
     if not re.fullmatch(r"(llvm|cuda|metal)_ad_rgb", variant):
         raise SvuEnvironmentError(

@@ -17,6 +17,7 @@ from svu_mi.capture.quantization import Saturation
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.up_direction import up_direction
 from svu_mi.cli.main import main
+from svu_mi.core.arrays import evenly_spaced
 from svu_mi.core.io.exr import write_exr
 from svu_mi.output.interval_summary import Intervals, IntervalSummary
 from svu_mi.output.object_views import front_and_right
@@ -396,7 +397,7 @@ def test_many_photographs_are_thinned_out(capture, estimate):
     shown, left_out = report_pictures.thumbnails(many, estimate)
     assert (len(shown), len(left_out)) == (60, 12)
     assert sum(thumbnail["first"] for thumbnail in shown) == 12
-    assert report_pictures.subsample(range(200), 5) == [0, 50, 100, 149, 199]
+    assert evenly_spaced(200, 5).tolist() == [0, 50, 100, 149, 199]
 
 
 def test_errors_separate_good_textures_from_bad(capture, estimate, monkeypatch):

@@ -1,6 +1,6 @@
 """Pictures of a report: photographs, turntable, maps, errors of renders."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -59,8 +59,8 @@ def thumbnails(
     used = [view for view in range(capture.count) if capture.used[view]]
     left_out = [view for view in range(capture.count) if not capture.used[view]]
     seen = dict(zip(used, np.asarray(estimate.seen_per_view), strict=False))
-    chosen = subsample(used, SHOWN)
-    first = subsample(chosen, FIRST)
+    chosen = [used[k] for k in evenly_spaced(len(used), SHOWN)]
+    first = [chosen[k] for k in evenly_spaced(len(chosen), FIRST)]
 
     def thumbnail(view: int, notes: str, first: bool) -> dict[str, Any]:
         return {"picture": embedded_jpeg(_thumbnail(capture, view)), "name": capture.names[view],
@@ -85,11 +85,6 @@ def thumbnails(
         thumbnail(view, _why_left_out(capture.images[view]), True)
         for view in left_out[:SHOWN_LEFT_OUT]
     ]
-
-
-def subsample(views_: Sequence[int], most: int) -> list[int]:
-    """Return at most ``most`` views, evenly spaced, including the first and the last."""
-    return [views_[k] for k in evenly_spaced(len(views_), most)]
 
 
 def _thumbnail(capture: Capture, view: int) -> np.ndarray:
@@ -189,7 +184,8 @@ def render_errors(capture: Capture, textures: Textures, grey: bool) -> dict[str,
     best, median and worst view. None if no photograph shows the object.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
-    compared = _compare(capture, textures, subsample(used, COMPARED), grey, (ERROR_SIDE, SAMPLES))
+    some = [used[k] for k in evenly_spaced(len(used), COMPARED)]
+    compared = _compare(capture, textures, some, grey, (ERROR_SIDE, SAMPLES))
     errors = {c.view: e for c in compared if (e := c.mean_difference) is not None}
     if not errors:
         return None
