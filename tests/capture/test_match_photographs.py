@@ -109,7 +109,8 @@ def test_without_any_photograph_nothing_is_imported(nerf, capsys):
     for more in ((), ("--missing", "leave-out")):
         assert run(*words(nerf, *more)) == 2
         assert capsys.readouterr().err == (
-            f"svu: {nerf}/shots/DSC_0: no such photograph; move all to the paths in the poses.\n"
+            f"svu: {nerf}/transforms.json: 4 of 4 photographs are missing, first shots/DSC_0; move "
+            "them to the paths in the poses.\n"
         )
 
 
