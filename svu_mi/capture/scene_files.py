@@ -162,9 +162,8 @@ def check_files(state: Any, label: str) -> None:
 def name_objects(state: Any) -> None:
     """Give ids to objects of the scene without one: their ``name``, as ``mi.load_dict`` does.
 
-    ``mi.parser.write_file`` writes the keys of a dictionary as names. Other shapes become
-    ``mesh.ply``, ``mesh.ply-0`` of several, or ``sphere-2``, counted from 0 in the order of
-    ``mi.Scene.shapes()``.
+    Other shapes become ``mesh.ply``, ``mesh.ply-0`` of several, or ``sphere-2``, counted from 0 in
+    the order of ``mi.Scene.shapes()``. ``mi.parser.write_file`` writes keys as names.
     """
     children = [(name, node) for name, node in state.root.props.items() if hasattr(node, "index")]
     named = [(name, state.nodes[node.index()]) for name, node in children]

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import tensor, to_drjit
-from svu_mi.core.validation import indices_of, require_memory
+from svu_mi.core.validation import indices_of
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.kernel import Kernel
@@ -304,7 +304,7 @@ class Posterior(Generic[K]):
             light, which ``sd`` and ``interval`` of base colour include, are not sampled.
 
         Raises:
-            OptionError: a count below 1, a seed below 0, or draws that do not fit in memory.
+            OptionError: a count below 1, or a seed that is not a whole number >= 0.
         """
         for name, value, least in (("count", count, 1), ("seed", seed, 0)):
             if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
@@ -312,8 +312,6 @@ class Posterior(Generic[K]):
                     f"Posterior.draw(): {name} must be a whole number >= {least}, got {value!r}."
                 )
         count, seed, unseen = int(count), int(seed), np.flatnonzero(~self.observed)
-        size = 4 * count * self.count * sum(map(self.kernel.channels_of, self.axes))
-        require_memory(size, f"Posterior.draw(): {count} draws", "draw fewer")
         drawn = {name: np.empty((count, self.count, self.kernel.channels_of(name)), np.float32)
                  for name in self.axes}  # fmt: skip
         known = self.kernel.draws(count, seed, self._seen) if len(self._seen) else {}
