@@ -94,11 +94,9 @@ class PixelBuffer:
         """Return masks of the photographs ``places`` as (P,) bool; True without a mask."""
         return self._flat(self.masked, self.masks, places, masks, True)
 
-    def channels_at(
-        self, places: Sequence[int], channels: Sequence[np.ndarray | None]
-    ) -> np.ndarray:
+    def channels_at(self, places: Sequence[int], bits: Sequence[np.ndarray | None]) -> np.ndarray:
         """Return bits of saturated channels of the photographs ``places`` as (P,) uint8."""
-        return self._flat(self.clipped, self.channels, places, channels, 0)
+        return self._flat(self.clipped, self.channels, places, bits, 0)
 
     def advise_random_access(self) -> None:
         """Turn off the operating system's read-ahead, which would evict pages in use."""

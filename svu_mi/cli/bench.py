@@ -4,7 +4,7 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from tyro.conf import Positional, arg
@@ -84,8 +84,11 @@ class Bench(BaseCommand):
         )  # fmt: skip
         record = run_bench(bench, chosen, self._selection(on_cases), command)
         for name, study in studies.items():
-            for line in (*study.lines(record[name]), *self._missed(record[name])):
+            for line in study.lines(record[name]):
                 print_line(console, line)
+            for bar in record[name]["bars"]:
+                if not (bar["holds"] or self.quick):
+                    print_line(console, "Missed: {what}: {value:.3g} {unit}".format(**bar))
         print_line(console, f"Wrote {self.output}")
         return 0
 
@@ -103,14 +106,6 @@ class Bench(BaseCommand):
             cases=cases, data=self.data, objects=objects, rows=parse_names(self.rows, "--rows"),
             capture=self.capture, every=self.every, environment_view=self.environment_view,
         )  # fmt: skip
-
-    def _missed(self, record: dict[str, Any]) -> list[str]:
-        """Return a line for each missed target of a record; empty with --quick."""
-        return [
-            f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
-            for bar in record["bars"]
-            if not (bar["holds"] or self.quick)
-        ]
 
     def _check_capture(self) -> None:
         """Require a capture for ``real``, and refuse it for other benchmarks."""

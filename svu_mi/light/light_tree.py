@@ -146,11 +146,10 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     typical = light.sum() / fine
     below = _cells(_sum(label, flux, fine), _sum(label, pull, fine), environment, typical)
     upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # coarse cell by fine cell
-    above = _cells(
-        _sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment, typical
-    )
     starts = np.searchsorted(upper, np.arange(coarse + 1))
     leaves = np.searchsorted(label, np.arange(fine + 1))
+    label = upper[label]
+    above = _cells(_sum(label, flux, coarse), _sum(label, pull, coarse), environment, typical)
     edges = _edges(of_group[order][starts[:-1]])
     grey = below.flux.numpy().reshape(-1, 4)[:, 3]
     return LightTree(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.tonemap import ObjectView, srgb, tone_mapped, with_bounds
+from svu_mi.capture.tonemap import ObjectView, object_only_scene, srgb, tone_mapped, with_bounds
 from svu_mi.errors import OptionError
 from svu_mi.geometry.dilate import dilate
 from svu_mi.geometry.texels import Texels
@@ -99,6 +99,15 @@ def is_tall(estimate: Estimate) -> bool:
     """Return whether maps are so narrow that their legends have more room beside them."""
     height, width = estimate.texels.inside().shape
     return height > TALL * width
+
+
+def draw_on_object(
+    axes: "Axes", capture: Capture, estimate: Estimate, view: int, values: Any | None = None,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Draw a value of every texel on the object, from a camera (``options``: ``map_colors``)."""
+    look = ObjectView.at(object_only_scene(capture), capture.sensors[view])
+    draw_look(axes, look, map_colors(estimate, values, **options))
 
 
 def draw_look(axes: "Axes", look: ObjectView, colors: np.ndarray) -> None:

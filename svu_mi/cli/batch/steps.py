@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,16 +92,15 @@ def inputs_key(item: BatchItem, output: Path | None = None) -> str:
     described = [read(folder) for folder in places if folder in folders]
     scenes = [each.scene for each in described if each is not None and each.scene is not None]
     files = stamps([*places, *scenes], lambda folder: folder == own)
+
+    def is_separate(folder: Path) -> bool:  # an output, another capture, or hidden
+        return folder == own or folder.name.startswith(".") or (folder / FILE).is_file()
+
     for scene in scenes:
         if not any(scene.is_relative_to(folder) for folder in folders):
-            files += stamps([scene.parent], partial(_is_separate, own))
+            files += stamps([scene.parent], is_separate)
             folders.add(scene.parent)
     return Key([list(file) for file in files]).digest()
-
-
-def _is_separate(output: Path | None, folder: Path) -> bool:
-    """Return whether to ignore a folder next to a scene: an output, another capture, hidden."""
-    return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
 
 
 def read_done(folder: Path) -> dict[str, dict[str, Any]]:
