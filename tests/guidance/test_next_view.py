@@ -619,7 +619,7 @@ class TestNextBestView:
         every = svu.next_best_view(estimate, around, texels=10**6)
         assert every.proposals[0].error == 0
         assert every.skipped["texels not looked at"] == 0
-        few = [svu.next_best_view(estimate, around, texels=300, seed=seed) for seed in range(5)]
+        few = [svu.next_best_view(estimate, around, texels=300, seed=seed) for seed in range(20)]
         z = [
             (g.scores[p.candidate] - every.scores[p.candidate]) / p.error
             for g in few
