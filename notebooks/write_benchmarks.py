@@ -381,9 +381,9 @@ SECTIONS = (
     Section(
         "Tables, bounces and lamps",
         "Posterior means and 90 % intervals in photographs of direct light, of all bounces, on tables, "
-        "and under four area lights: PSNR, and share of intervals with the truth, of roughness, "
-        "metallic and base colour. Radiance of the model with the true textures is compared with path "
-        "tracing.",
+        "under four area lights, and with a flash alone (60 photographs of 256 x 256): PSNR, and share "
+        "of intervals with the truth, of roughness, metallic and base colour. Radiance of the model "
+        "with the true textures is compared with path tracing.",
         {"reflected": reflections},
         heads=("photographs", "PSNR", "90 % intervals", "error of radiance: median / rms"),
     ),

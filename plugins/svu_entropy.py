@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.core.checked_arguments import LONGEST
 from svu_mi.core.io.exr import read_exr
 from svu_mi.errors import OptionError, SceneError, excerpt
 from svu_mi.plugins.registry import read, require_variant
@@ -26,7 +27,6 @@ COLORMAPS = {
     ),
 }
 AMBIENT = 0.35  # shading factor at grazing angles
-LONGEST = 60  # characters of a value in a message
 
 
 class EntropyIntegrator(mi.SamplingIntegrator):

@@ -52,7 +52,10 @@ def scene_light_posteriors(
 
     references = []
     for model in noise:
-        options = ReferenceOptions(samples, PrincipledGrid(), 0.08, 2, "linear", 0, model)
+        options = ReferenceOptions(
+            spp=samples, grid=PrincipledGrid(), sigma=0.08, max_depth=2, method="linear", seed=0,
+            noise=model,
+        )  # fmt: skip
         traced = trace_tables(observed, texels, options, renderer)
         references.append(replace(Reference.of(traced, options, cached=False), max_depth=depth))
     return references
