@@ -153,14 +153,15 @@ def _proposal(
 
 
 def _standard_error(gain: np.ndarray, left_out: float) -> float:
-    """Return the standard error of the mean gain; 0 if no texels were omitted, NaN for one."""
-    if np.isnan(gain).all():
-        return float("nan")
-    if left_out == 0:
+    """Return the standard error of the mean gain; 0 if no texels were omitted, NaN for one.
+
+    It has differences of successive texels (evenly spaced samples) [Wolter 1984].
+    """
+    if left_out == 0 and not np.isnan(gain).all():
         return 0.0
     if len(gain) < 2:
         return float("nan")
-    return float(gain.std(ddof=1) * np.sqrt(left_out / len(gain)))
+    return float(np.sqrt(np.square(np.diff(gain)).mean() / 2 * left_out / len(gain)))
 
 
 def _evenly_spaced(count: int, options: GuidanceOptions) -> np.ndarray:
