@@ -91,3 +91,11 @@ class Bits:
         """Return bit ``number`` of each ``lane``, as Bool."""
         word = dr.gather(mi.UInt32, self.words, (number // WORD) * self.stride + lane)
         return ((word >> (number % WORD)) & 1) != 0
+
+    def several(self, start: Any, end: Any, lane: Any) -> Any:
+        """Return bits ``start`` to ``end`` - 1, 1 to 32 of them, of each ``lane``, as a UInt32."""
+        row, shift = start // WORD, start % WORD
+        rows = row, dr.minimum(row + 1, self.last // WORD)
+        low, high = (dr.gather(mi.UInt32, self.words, k * self.stride + lane) for k in rows)
+        bits = (low >> shift) | ((high << 1) << (WORD - 1 - shift))
+        return bits & (mi.UInt32(2**WORD - 1) >> (WORD - (end - start)))

@@ -23,7 +23,8 @@ from svu_mi.light.environment import Environment
 
 LEAF_COUNTS = (4096, 8192)  # leaves for small and large maps; spacing 0.06 and 0.04 rad
 FLOOR = 0.05  # weight of a black cell, relative to the mean weight
-GROUP, LARGEST = 4, 32  # mean and largest number of coarse cells per group
+GROUP = 4  # mean number of coarse cells per group
+LARGEST = 32  # largest number of coarse cells per group, and of fine cells per coarse cell
 RING = 6  # cells around the central cell of a sun's disk
 SPLIT = 8  # local cells per world cell in ``cell_radiance``
 DIM = 0.25  # flux threshold of "bright" fine cells, relative to the mean
@@ -134,7 +135,8 @@ def build_light_tree(environment: Environment, coarse: int, fine: int) -> LightT
     points = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
     label, parent = _split(points, weight, fine)
     numbers = np.arange(fine)
-    of_coarse = _ancestors(parent, coarse)
+    while np.bincount(of_coarse := _ancestors(parent, coarse)).max() > LARGEST:
+        coarse = min(2 * coarse, fine)
     of_group = _ancestors(parent, max(coarse // GROUP, 1))
     # Tree order: cells with a common ancestor are contiguous.
     order = np.lexsort((numbers, of_coarse, of_group))

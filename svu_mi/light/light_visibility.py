@@ -2,7 +2,7 @@
 
 All coarse cells are traced. A fine cell inherits the bit of its coarse cell, with two
 exceptions that are traced: its coarse cell is below the horizon, or the fine cell is bright and its
-group of coarse cells is partly hidden. Only coarse cells that are visible as a whole are kept.
+group of coarse cells is partly hidden.
 """
 
 from collections.abc import Callable
@@ -28,13 +28,11 @@ class LightVisibility:
     """Visibility of the light's cells from S texels.
 
     Attributes:
-        coarse: Bits of coarse cells all of whose fine cells are visible from traced texels.
         fine: Visibility bits of fine cells from traced texels.
         place: (S,) UInt32, the traced texel whose bits each texel has.
     """
 
     tree: LightTree
-    coarse: Bits
     fine: Bits
     place: Any
 
@@ -97,7 +95,6 @@ def trace_light_visibility(
     ``place`` is the lane whose visibility each texel has (default: its own).
     """
     lane, count = surface.lane, surface.count
-    coarse = Bits.clear(tree.coarse.number, count)
     fine = Bits.clear(tree.fine.number, count)
 
     def above(direction: Any) -> Any:
@@ -108,7 +105,7 @@ def trace_light_visibility(
         # Rays of neighbouring texels have the same direction, so packets are coherent.
         return is_unoccluded(scene, surface, toward, active, coherent=True) if occluded else active
 
-    def trace_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
+    def trace_group(group: Any, word: Any) -> tuple[Any, ...]:
         start, end = (dr.gather(mi.UInt32, tree.groups, group + k) for k in (0, 1))
 
         def trace(cell: Any, free: Any, high: Any) -> tuple[Any, ...]:
@@ -122,27 +119,26 @@ def trace_light_visibility(
         free, high = fold(start, end, trace, none, none)
         split = (free > 0) & (dr.popcnt(free) < end - start)
 
-        def inherit(cell: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
+        def inherit(cell: Any, word: Any) -> tuple[Any, ...]:
             place = cell - start
             inherited, low = (free >> place) & 1 != 0, (high >> place) & 1 == 0
             first, last = (dr.gather(mi.UInt32, tree.first, cell + k) for k in (0, 1))
 
-            def refine(below: Any, below_word: Any, whole: Any) -> tuple[Any, ...]:
+            def refine(below: Any, word: Any) -> tuple[Any, ...]:
                 direction = tree.fine.at(below)[0]
                 own = low | (split & (dr.gather(mi.UInt32, tree.bright, below) > 0))
                 is_open = trace_ray(direction, own & above(direction))
                 is_open = dr.select(own, is_open, inherited)
-                return below + 1, fine.push(below_word, below, lane, is_open), whole & is_open
+                return below + 1, fine.push(word, below, lane, is_open)
 
-            below_word, whole = fold(first, last, refine, below_word, mi.Bool(True))
-            return cell + 1, coarse.push(word, cell, lane, whole), below_word
+            return cell + 1, *fold(first, last, refine, word)
 
-        return (group + 1, *fold(start, end, inherit, word, below_word))
+        return group + 1, *fold(start, end, inherit, word)
 
     none = dr.zeros(mi.UInt32, count)
-    fold(0, tree.group_count, trace_group, none, none)
-    dr.eval(coarse, fine)
-    return LightVisibility(tree, coarse, fine, lane if place is None else place)
+    fold(0, tree.group_count, trace_group, none)
+    dr.eval(fine)
+    return LightVisibility(tree, fine, lane if place is None else place)
 
 
 @dataclass(frozen=True)

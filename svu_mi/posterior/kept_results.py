@@ -1,7 +1,7 @@
 """Results that the next command on a capture reads, as arrays of an ``ArrayCache``.
 
     visibility    about 8 bytes per texel for 60 photographs
-    occlusion     144 bytes per texel whose rays are traced (``shared_texels``)
+    occlusion     128 bytes per texel whose rays are traced (``shared_texels``)
     statistics    1040 bytes per seen texel
     posterior     about 80 bytes per seen texel
 
@@ -63,17 +63,14 @@ def restore_visibility(
 
 def pack_light_visibility(known: LightVisibility) -> Arrays:
     """Return the arrays of the visibility of light cells."""
-    return {"coarse": known.coarse.words.numpy(), "fine": known.fine.words.numpy()}
+    return {"fine": known.fine.words.numpy()}
 
 
 def restore_light_visibility(arrays: Arrays, tree: LightTree, place: Any) -> LightVisibility:
     """Return the visibility of the tree's cells (see ``LightVisibility.place``)."""
-    lanes, cells = int(dr.max(place)[0]) + 1, {"coarse": tree.coarse, "fine": tree.fine}
-    numbers = {name: each.number for name, each in cells.items()}
-    schema = {name: _words(number, lanes) for name, number in numbers.items()}
-    checked(arrays, schema, closed=True)
-    coarse, fine = (_bits(arrays[name], number, lanes) for name, number in numbers.items())
-    return LightVisibility(tree, coarse, fine, place)
+    lanes, number = int(dr.max(place)[0]) + 1, tree.fine.number
+    checked(arrays, {"fine": _words(number, lanes)}, closed=True)
+    return LightVisibility(tree, _bits(arrays["fine"], number, lanes), place)
 
 
 def pack_factors(factors: Factors) -> Arrays:

@@ -10,7 +10,6 @@ import numpy as np
 from svu_mi.core.arrays import fold, to_drjit
 from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.near_light import NearLight
-from svu_mi.presets import AngularPreset
 from svu_mi.reflection.albedo_table import AlbedoTable
 from svu_mi.reflection.lobes import ggx, smith_g1
 from svu_mi.reflection.wide_lobes import Lobe
@@ -32,13 +31,6 @@ class NearLobes:
     channels: int
     alpha: np.ndarray
     albedo: AlbedoTable
-
-    @staticmethod
-    def of(
-        near: NearLight, channels: int, alpha: np.ndarray, switches: AngularPreset
-    ) -> "NearLobes":  # fmt: skip
-        """Tabulate the albedo of lobes."""
-        return NearLobes(near, channels, alpha, AlbedoTable.of(alpha, switches.fresnel))
 
     def reflect(self, surface: TexelLanes, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light reflected by each lobe."""

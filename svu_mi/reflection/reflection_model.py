@@ -19,6 +19,7 @@ from svu_mi.light.lamps import Lamps
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
+from svu_mi.reflection.albedo_table import AlbedoTable
 from svu_mi.reflection.lamp_lobes import FlashLobes, LampLobes
 from svu_mi.reflection.lobes import Normals
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
@@ -95,7 +96,9 @@ class ReflectionModel:
             moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = visibility.diffuse(surface, lighting, channels)
-        near = None if light.near is None else NearLobes.of(light.near, channels, alpha, switches)
+        near = None
+        if light.near is not None:
+            near = NearLobes(light.near, channels, alpha, AlbedoTable.of(alpha, switches.fresnel))
         lamps = None if light.lamps is None else LampLobes(light.lamps, channels, alpha)
         flash = None if light.flash is None else FlashLobes(light.flash, channels, alpha)
         for others in (light.near, light.lamps):

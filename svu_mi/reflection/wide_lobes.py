@@ -3,12 +3,14 @@
 Within a cell of radius rho, the half vector rotates by up to rho / (2 cos theta_d), where theta_d
 is its angle with the light. GGX is proportional to 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2
 theta_h. Cells with large rho^2 / (s cos^2 theta_d), near the mirror direction, are subdivided,
-bright cells earlier than dim ones, and so are coarse cells that are partly hidden.
+bright cells earlier than dim ones, and coarse cells that are partly hidden earlier than others. If
+not subdivided, these have the visible part of their light.
 
 Where normals vary within a texel, lobes narrower than ``BENT`` are averaged over three normals.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any, Protocol
 
@@ -17,13 +19,15 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.core.arrays import fold
-from svu_mi.light.light_tree import LightCells, LightTree
+from svu_mi.light.light_tree import LightCells
 from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.reflection.lobes import Normals, dielectric_fresnel, disk_ggx, smith_g1
 
 NARROW = 0.03  # maximum alpha of narrow lobes; about the distance of leaf cells
 BENT = 0.1  # maximum alpha of lobes that are averaged over normals
-LARGE = 1.6  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
+LARGE = 1.8  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
+PARTLY = 4.0  # factor of rho^2 of coarse cells that are partly hidden
+PLACE, WHOLE = 16, 2**15  # number of bits for the place of a cell, and visible part of whole cells
 ROOM = 1024  # largest number of leaves in a list; beyond, a fine cell stays whole
 
 Lobe = list[tuple[Any, Any, Any]]
@@ -113,8 +117,6 @@ class LobeSums:
             for normal in around if split
         ]  # fmt: skip
         means = [sum(values) / len(around) for values in zip(*several, strict=True)]
-        if split == len(self.alpha):
-            return means
         up = dr.dot(self.normals.mean, both) * inverse
         return means + disk_ggx(up, incident, self.alpha[split:], spread)
 
@@ -129,12 +131,14 @@ class WideLobes:
 
     def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the visible light reflected towards a camera by the lobe of each width."""
-        sums, every = LobeSums(self.alpha, self.channels, normals, direction), self._tree.every
+        sums = LobeSums(self.alpha, self.channels, normals, direction)
+        every = self.visibility.tree.every
         listed, count = _Traversal(self.visibility, lane, normals.mean, direction).visible_cells()
 
         def read(listed: Any, place: Any) -> tuple[Any, ...]:
-            cell = listed.read(place, place < count)
-            return *every.at(cell), every.light(cell, self.channels)
+            entry = listed.read(place, place < count)
+            cell, part = entry % 2**PLACE, mi.Float(entry >> PLACE) / WHOLE
+            return *every.at(cell), [part * x for x in every.light(cell, self.channels)]
 
         def add(place: Any, listed: Any, cell: Any, totals: list[Any]) -> tuple[Any, ...]:
             # The next cell is read in advance, which takes as long as to add one.
@@ -144,10 +148,6 @@ class WideLobes:
         start = mi.UInt32(0)
         *_, totals = fold(start, count, add, listed, read(listed, start), sums.zeros())
         return sums.lobes(totals, cosine)
-
-    @property
-    def _tree(self) -> LightTree:
-        return self.visibility.tree
 
 
 class _Traversal:
@@ -166,61 +166,63 @@ class _Traversal:
         self.flat = 1 - NARROW**2
         self.limit = dr.opaque(mi.Float, LARGE / 4)
 
-    def visible_cells(self) -> tuple[Any, Any]:
-        """Return local memory with indices in ``tree.every``, and their number."""
+    def visible_cells(self) -> tuple[Any, ...]:
+        """Return local memory with entries, and their number.
+
+        An entry is an index in ``tree.every`` and, from bit ``PLACE`` on, the visible part of the
+        cell times ``WHOLE``.
+        """
         listed = dr.alloc_local(mi.UInt32, self.tree.fine.number + ROOM)
-        count = 0 * self.place
-        listed, count = fold(0, self.tree.coarse.count, self._coarse, listed, count)
-        return listed, count
+        return fold(0, self.tree.coarse.count, self._coarse, listed, 0 * self.place)
 
     def _coarse(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
         """List a coarse cell or its fine cells; return the next cell, the list and its length."""
-        above, lit, large = self._tests(self.tree.coarse, cell)
-        whole = self.visibility.coarse.test(cell, self.place)
+        start, end = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
+        free = self.visibility.fine.several(start, end, self.place)
+        part = mi.Float(dr.popcnt(free)) / mi.Float(end - start)
+        above, lit, size, limit = self._tests(self.tree.coarse, cell)
+        large = dr.select(part < 1, PARTLY, 1) * size > limit
 
         def smaller(listed: Any, count: Any) -> tuple[Any, ...]:
-            start, end = (dr.gather(mi.UInt32, self.tree.first, cell + k) for k in (0, 1))
-            return fold(start, end, self._fine, listed, count)
+            def add(cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
+                seen, fine = (free >> (cell - start)) & 1 != 0, partial(self._fine, cell)
+                return cell + 1, *dr.if_stmt((listed, count), seen, fine, lambda *state: state)
+
+            return fold(start, end, add, listed, count)
 
         def itself(listed: Any, count: Any) -> tuple[Any, ...]:
-            listed.write(cell, count, lit)
+            listed.write(cell | mi.UInt32(WHOLE * part) << PLACE, count, lit)
             return listed, count + dr.select(lit, mi.UInt32(1), 0)
 
-        listed, count = dr.if_stmt(
-            args=(listed, count), cond=above, false_fn=lambda *state: state,
-            true_fn=lambda *state: dr.if_stmt(state, large | ~whole, smaller, itself),
+        return cell + 1, *dr.if_stmt(
+            args=(listed, count), cond=above & (free > 0), false_fn=lambda *state: state,
+            true_fn=lambda *state: dr.if_stmt(state, large, smaller, itself),
         )  # fmt: skip
-        return cell + 1, listed, count
 
     def _fine(self, cell: Any, listed: Any, count: Any) -> tuple[Any, ...]:
-        """List a fine cell or its leaves, which inherit its visibility."""
+        """List a visible fine cell or its leaves, which inherit its visibility."""
+        above, lit, size, limit = self._tests(self.tree.fine, cell)
+        start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, cell + k) for k in (0, 1))
+        # An entry remains for each of the following fine cells. Numbers are literals, because
+        # Dr.Jit 1.5 does not distinguish kernels by the size of local memory.
+        large = (size > limit) & (count + end <= start + cell + ROOM)
+        before = self.tree.coarse.number
+        leaves = before + self.tree.fine.number
+        first = dr.select(large, leaves + start, before + cell)
+        number = dr.select(large, end - start, dr.select(lit, mi.UInt32(1), 0))
 
-        def shown(listed: Any, count: Any) -> tuple[Any, ...]:
-            above, lit, large = self._tests(self.tree.fine, cell)
-            start, end = (dr.gather(mi.UInt32, self.tree.first_leaf, cell + k) for k in (0, 1))
-            # An entry remains for each of the following fine cells. Numbers are literals, because
-            # Dr.Jit 1.5 does not distinguish kernels by the size of local memory.
-            large &= count + end <= start + cell + ROOM
-            before = self.tree.coarse.number
-            leaves = before + self.tree.fine.number
-            first = dr.select(large, leaves + start, before + cell)
-            number = dr.select(large, end - start, dr.select(lit, mi.UInt32(1), 0))
+        def add(below: Any, listed: Any, count: Any) -> tuple[Any, ...]:
+            listed.write(below | WHOLE << PLACE, count)
+            return below + 1, listed, count + 1
 
-            def add(below: Any, listed: Any, count: Any) -> tuple[Any, ...]:
-                listed.write(below, count)
-                return below + 1, listed, count + 1
+        return fold(first, first + dr.select(above, number, 0), add, listed, count)
 
-            return fold(first, first + dr.select(above, number, 0), add, listed, count)
-
-        free = self.visibility.fine.test(cell, self.place)
-        return cell + 1, *dr.if_stmt((listed, count), free, shown, lambda *state: state)
-
-    def _tests(self, cells: LightCells, cell: Any) -> tuple[Any, Any, Any]:
-        """Return whether a cell is partly above the horizon, its centre is, and it is large."""
+    def _tests(self, cells: LightCells, cell: Any) -> tuple[Any, ...]:
+        """Return whether a cell is partly above the horizon, its centre is, its size and limit."""
         toward, radius = cells.at(cell)
         incident, both = dr.dot(self.normal, toward), toward + self.direction
         up = dr.dot(self.normal, both)
         # |both| = 2 cos theta_d; both / |both| is the half vector.
         s = dr.fma(-self.flat * up, up, dr.squared_norm(both))
         size = dr.gather(mi.Float, cells.size, cell)
-        return incident > -radius, incident > 0, size > self.limit * s
+        return incident > -radius, incident > 0, size, self.limit * s

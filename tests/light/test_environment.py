@@ -256,6 +256,12 @@ def test_a_cell_is_the_sum_of_those_below_it(coarse, fine, turned):
         np.testing.assert_allclose(size, spread, atol=2e-3)
 
 
+def test_coarse_cells_are_divided_until_their_fine_cells_fit_a_word():
+    tree = build_light_tree(lamps(disk=sun()), 1, 256)
+    assert 8 <= tree.coarse.number < 256
+    assert np.diff(tree.first.numpy().astype(int)).max() <= 32
+
+
 @pytest.mark.parametrize(("coarse", "fine"), SIZES)
 def test_groups_are_runs_of_neighbours_that_fit_a_word(coarse, fine):
     tree = build_light_tree(lamps(), coarse, fine)

@@ -30,6 +30,7 @@ from svu_mi.posterior.object_appearance import near_surfaces
 from svu_mi.posterior.observations import observe
 from svu_mi.presets import preset
 from svu_mi.reflection import near_lobes
+from svu_mi.reflection.albedo_table import AlbedoTable
 from svu_mi.reflection.near_lobes import NearLobes
 from svu_mi.reflection.near_surfaces import NearSurfaces, ShownObject
 from svu_mi.reflection.render_model import prefiltered_model
@@ -97,7 +98,7 @@ def test_lobes_in_a_furnace_see_its_radiance():
     """Inside a bright sphere, each lobe reflects its albedo, for narrow and wide ones."""
     near = traced(emitting("sphere", flip_normals=True, radius=10.0), [[0, 0, 1], [0.6, 0, 0.8]])
     alpha = np.array([1e-3, 0.05, 0.3, 1.0])
-    lobes = NearLobes.of(near, 3, alpha, angular())
+    lobes = NearLobes(near, 3, alpha, AlbedoTable.of(alpha, "split_sum"))
     surface = texel_facing([[0, 0, 1], [0.6, 0, 0.8]])
     direction = mi.Vector3f(0.36, 0.48, 0.8)
     cosine = dr.dot(surface.normal, direction)
@@ -115,7 +116,7 @@ def test_rays_of_each_lobe_meet_a_disk(monkeypatch):
     normals = np.tile([0.0, 0.0, 1.0], (2048, 1))
     near = traced(disk_above([0, 0, 1]), normals, 64)
     alpha = np.array([1e-3, 0.1, 0.3, 0.6, 1.0])
-    lobes = NearLobes.of(near, 3, alpha, angular())
+    lobes = NearLobes(near, 3, alpha, AlbedoTable.of(alpha, "split_sum"))
     surface, turns = texel_facing(normals), dr.arange(mi.Float, 2048)
     up = dr.normalize(mi.Vector3f(1e-3 * dr.cos(turns), 1e-3 * dr.sin(turns), 1))
     found = lobes.reflect(surface, up, dr.dot(surface.normal, up))
