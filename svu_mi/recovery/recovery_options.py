@@ -85,6 +85,8 @@ class ShOptions:
             paper, ``texture``: the texels to the right and below.
         tv_epsilon: Difference, >= 0 in parameter units, below which total variation is quadratic
             (default 0.01). 0 for absolute values, as in the paper.
+        tv_edge: Difference, >= 0, above which total variation is logarithmic, so that small regions
+            keep their contrast (default 0.2; ``path`` 0). 0: linear, as in the paper.
         sharing: Weight of a ``GlobalSharing``, >= 0 (default 160). Raise it to pull uncertain
             texels harder. 0 disables all sharing; a common prior ignores other values.
         common_prior: True (default) to share by a learned prior of all texels
@@ -107,6 +109,7 @@ class ShOptions:
     tv: float = 0.6
     tv_space: TvSpace = "surface"
     tv_epsilon: float = 1e-2
+    tv_edge: float = 0.2
     sharing: float = 160.0
     common_prior: bool = True
     descent: DescentOptions = field(
@@ -136,7 +139,7 @@ class PathOptions:
         halves: True (default) to use each half of a pixel's paths for the gradient of the other.
             This saves one of three passes if ``spp`` is even. Disable it for ``l1``.
         tv: Weight of total variation, >= 0 (default 2). Raise it for noisy textures.
-        tv_space, tv_epsilon: See ``ShOptions``.
+        tv_space, tv_epsilon, tv_edge: See ``ShOptions``.
         sharing: Weight of sharing, >= 0 (default 8); 0 disables it.
         common_prior: True (default) to pull texels towards their posterior means under a learned
             prior; for False, see ``ShOptions``.
@@ -158,6 +161,7 @@ class PathOptions:
     tv: float = 2.0
     tv_space: TvSpace = "surface"
     tv_epsilon: float = 1e-2
+    tv_edge: float = 0.0
     sharing: float = 8.0
     common_prior: bool = True
     seed: int = 0
@@ -185,13 +189,13 @@ class PathOptions:
 
 def _require_weights(options: ShOptions | PathOptions) -> None:
     """Raise an error for negative, infinite or NaN weights of regularisers."""
-    for name in ("tv", "tv_epsilon", "sharing"):
+    for name in ("tv", "tv_epsilon", "tv_edge", "sharing"):
         require(options, 0 <= getattr(options, name) < inf, name, "at least 0")
 
 
 _PAPER = ShOptions(
     loss="angular", closed_form=False, tv=1e-2, tv_space="texture", tv_epsilon=0.0,
-    sharing=1e-2, common_prior=False,
+    tv_edge=0.0, sharing=1e-2, common_prior=False,
     descent=DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0),
 )  # fmt: skip
 

@@ -12,6 +12,7 @@ import numpy as np
 from svu_mi.capture.capture import Capture
 from svu_mi.capture.content_hash import Key, capture_parts
 from svu_mi.core.progress import Progress
+from svu_mi.core.validation import require_known
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.geometry.neighbors import Neighbors, neighbors
 from svu_mi.geometry.texels import Texels
@@ -176,7 +177,8 @@ class RecoveryRun:
     def total_variation(self, options: ShOptions | PathOptions) -> LossTerm:
         """Return the total variation term."""
         around = self.tv_neighbors(options)
-        return per_texture(TotalVariation(self.texels, around, epsilon=options.tv_epsilon))
+        widths = {"epsilon": options.tv_epsilon, "edge": options.tv_edge}
+        return per_texture(TotalVariation(self.texels, around, **widths))
 
     def free(self, textures: Textures) -> dict[str, object]:
         """Return the textures to recover, by name."""
@@ -221,12 +223,9 @@ def require_resolution(texels: Texels, start: Textures | None) -> None:
 
 def ordered(parameters: Sequence[str]) -> tuple[str, ...]:
     """Return the names of parameters in canonical order; raise OptionError if unknown."""
-    unknown = [name for name in parameters if name not in NAMES]
-    if unknown or not parameters:
-        raise OptionError(
-            f"recover(): parameters must be one or more of {', '.join(NAMES)}, got "
-            f"{', '.join(map(str, parameters)) or 'none'}."
-        )
+    require_known(parameters, NAMES, "parameter")
+    if not parameters:
+        raise OptionError(f"recover(): name one or more parameters of {', '.join(NAMES)}.")
     return tuple(name for name in NAMES if name in parameters)
 
 

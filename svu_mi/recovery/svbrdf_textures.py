@@ -52,8 +52,7 @@ class Textures(ByParameter):
 
     def with_constant(self, values: Mapping[str, float]) -> "Textures":
         """Return the textures with some parameters replaced by constants, by name."""
-        new = {n: dr.full(mi.TensorXf, x, tuple(self[n].shape)) for n, x in values.items()}
-        return Textures(**{**dict(self.items()), **new})
+        return self.but(**{n: dr.full(type(self[n]), x, self[n].shape) for n, x in values.items()})
 
     def require_resolution(self, texels: Texels) -> None:
         """Raise a ShapeError if the resolution differs from the texels'."""

@@ -68,7 +68,7 @@ def test_unknown_preset_is_refused_with_alternatives():
                 )
 
 
-@pytest.mark.parametrize("wrong", [{"tv_space": "map"}, {"tv_epsilon": -1.0}])
+@pytest.mark.parametrize("wrong", [{"tv_space": "map"}, {"tv_epsilon": -1.0}, {"tv_edge": -0.1}])
 def test_options_out_of_range_are_refused(wrong):
     for kind in (ShOptions, PathOptions):
         with pytest.raises(OptionError, match=next(iter(wrong))):
@@ -174,8 +174,8 @@ def test_run_uses_the_options_of_its_preset(seen, grid, recorded, method, name):
         ((weight, _),) = rules
         nats = np.sqrt(grid.count) if parts[part].get("loss") == "statistics" else 1
         assert weight == pytest.approx(parts[part]["tv"] * nats)
-    wanted = {(one["tv_space"], one["tv_epsilon"]) for one in parts.values()}
-    made = {("texture" if is_of_texture(v, grid) else "surface", v.epsilon)
+    wanted = {(one["tv_space"], one["tv_epsilon"], one["tv_edge"]) for one in parts.values()}
+    made = {("texture" if is_of_texture(v, grid) else "surface", v.epsilon, v.edge)
             for v in recorded.variations}  # fmt: skip
     assert made == wanted and len(recorded.variations) == len(parts)  # one each
 

@@ -72,23 +72,30 @@ def check_gradient(oracle: Any, gradient: np.ndarray, values: np.ndarray, seed: 
 # --- total variation
 
 
-def variation(where, around, values, epsilon=1e-2) -> float:
+def variation(where, around, values, epsilon=1e-2, edge=0.0) -> float:
     """Return the mean over pairs in float64, by the definition."""
     psi = flat(where, values)
     first, second = (column.numpy() for column in around.pairs)
     difference = psi[first] - psi[second]
-    return float((np.sqrt(difference**2 + epsilon**2) - epsilon).sum() / max(len(first), 1))
+    size = np.sqrt(difference**2 + epsilon**2) - epsilon
+    size = edge * np.log1p(size / edge) if edge else size
+    return float(size.sum() / max(len(first), 1))
 
 
 @pytest.mark.parametrize("channels", [3, 1, None, 5])
-@pytest.mark.parametrize("epsilon", [1e-2, 0.3])
-def test_total_variation_matches_its_definition(channels, epsilon):
+@pytest.mark.parametrize(("epsilon", "edge"), [(1e-2, 0.0), (0.3, 0.0), (1e-2, 0.15)])
+def test_total_variation_matches_its_definition(channels, epsilon, edge):
     where, mesh = sphere()
     around = neighbors(where, mesh)
     values = a_texture(59120447, channels)
-    loss, gradient = differentiated(TotalVariation(where, mesh, epsilon=epsilon), values)
-    assert loss == pytest.approx(variation(where, around, values, epsilon), rel=1e-5)
-    check_gradient(lambda x: variation(where, around, x, epsilon), gradient, values, 771204)
+    rule = TotalVariation(where, mesh, epsilon=epsilon, edge=edge)
+    loss, gradient = differentiated(rule, values)
+
+    def oracle(psi):
+        return variation(where, around, psi, epsilon, edge)
+
+    assert loss == pytest.approx(oracle(values), rel=1e-5)
+    check_gradient(oracle, gradient, values, 771204)
     outside = ~where.inside()
     assert outside.any() and not gradient[outside].any()
 

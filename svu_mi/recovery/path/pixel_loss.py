@@ -105,29 +105,16 @@ class PathObjective:
                 place = (lane // part) ^ 1
             replay(dr.gather(mi.Color3f, slope, place) / part)
             dr.eval(loss)
-        gradients = {name: dr.grad(texture).array for name, texture in live.items()}
+        gradients = [dr.grad(texture).array for texture in live.values()]
         dr.eval(gradients)
         self._toggle_grad(live, dr.disable_grad)
-        return sum(
-            with_known_gradient(
-                loss if index == 0 else mi.Float(0), [gradients[name]], [texture.array]
-            )
-            for index, (name, texture) in enumerate(textures.items())
-        )
-
-    def render(self, textures: Mapping[str, Any], step: int) -> tuple[Any, Any]:
-        """Return rendered and photographed radiance of a step, two Floats (3 N ``halves``,).
-
-        RGB is interleaved; the halves of a pixel are adjacent.
-        """
-        self.target.paint(textures)
-        radiance, photograph, _ = self._trace(self.batches.at(step), self._seed(step))
-        return radiance, photograph
+        return with_known_gradient(loss, gradients, [tensor.array for tensor in textures.values()])
 
     def _trace(self, batch: PixelBatch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
-        """Trace a batch; return the results of ``render``, and the backward pass.
+        """Trace a batch; return rendered and photographed radiance, and the backward pass.
 
-        The backward pass is a function: its argument is dloss / dradiance of each path, Color3f.
+        Radiance is two Floats (3 N ``halves``,): RGB, for both halves of a pixel. The backward
+        pass is a function: its argument is dloss / dradiance of each path, Color3f.
         """
         count, views = len(batch.index), self.batches.views
         sampler = mi.load_dict({"type": "independent"})

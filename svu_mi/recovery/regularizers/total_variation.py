@@ -35,9 +35,11 @@ class TotalVariation(Regularizer):
         mesh: Mesh of the texels, or their ``Neighbors``; None for neighbours in the map.
         epsilon: Difference, >= 0, below which terms are quadratic; above, they are linear. With
             0, as in the paper, a term is ``|psi_i - psi_j|``, with derivative 0 for equal values.
+        edge: Difference, >= 0, above which terms are logarithmic, e log(1 + term / e) [Candes et
+            al. 2008], so that small regions keep their contrast. 0, as in the paper: linear.
 
     Raises:
-        OptionError: ``epsilon`` is negative, infinite or NaN.
+        OptionError: ``epsilon`` or ``edge`` is negative, infinite or NaN.
         ShapeError: The neighbours belong to another number of texels.
 
     Example:
@@ -49,12 +51,14 @@ class TotalVariation(Regularizer):
     texels: Texels
     mesh: Any | None = field(default=None, repr=False)
     epsilon: float = field(default=EPSILON, kw_only=True)
+    edge: float = field(default=0.0, kw_only=True)
     _around: dict[int, tuple[Any, ...]] = field(init=False, repr=False, compare=False)
     _scale: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         require_types(self)
-        require(self, 0 <= self.epsilon < np.inf, "epsilon", "at least 0")
+        for name in ("epsilon", "edge"):
+            require(self, 0 <= getattr(self, name) < np.inf, name, "at least 0")
         around, pairs = _table(self.texels, self._neighbors(self.mesh))
         columns = tuple(to_drjit(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", {1: columns})
@@ -62,10 +66,15 @@ class TotalVariation(Regularizer):
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Return value and gradient; each lane is a channel of a texel."""
-        epsilon = dr.opaque(mi.Float, self.epsilon) if self.epsilon else None
+        epsilon, edge = (
+            dr.opaque(mi.Float, width) if width else None for width in (self.epsilon, self.edge)
+        )
 
         def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             size, slope = absolute(values - dr.gather(mi.Float, values, other), epsilon)
+            if edge is not None:
+                excess = 1 + size / edge
+                size, slope = edge * dr.log(excess), slope / excess
             return state[0] + size, state[1] + slope
 
         # Pixels outside charts link to themselves only, so NaN there has no effect.
