@@ -18,8 +18,8 @@ SAMPLES, FEWEST, MOST = 2**22, 64, 128  # rays of all texels, and of each
 class Surfaces(Protocol):
     """Surfaces around texels, such as ``NearSurfaces``."""
 
-    def radiance_along(self, origin: Any, direction: Any, active: Any) -> Any:
-        """Return the radiance of the first surface on each active ray, Color3f."""
+    def radiance_along(self, origin: Any, direction: Any, active: Any, size: Any) -> Any:
+        """Return the radiance that active rays of solid angle ``size`` meet, Color3f."""
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,14 @@ def trace_near_light(surfaces: Surfaces, surface: TexelLanes, rays: int = 0) -> 
         # A Fibonacci lattice on the hemisphere, turned and jittered for each texel.
         z = (mi.Float(ray) + sampler.next_1d()) * step
         turns = mi.Float(ray) * GOLDEN + turn
-        sin, cos = dr.sincos(2 * np.pi * (turns - dr.floor(turns)))
-        r = dr.sqrt(dr.maximum(1 - z * z, 0))
-        world = frame.to_world(mi.Vector3f(r * cos, r * sin, z))
-        color = surfaces.radiance_along(origin, world, dr.dot(surface.geometric_normal, world) > 0)
+        turns -= dr.floor(turns)
+        world = frame.to_world(mi.sph_to_dir(dr.acos(z), 2 * np.pi * turns))
+        up = dr.dot(surface.geometric_normal, world) > 0
+        color = surfaces.radiance_along(origin, world, up, 2 * np.pi * step)
         added = [x for value in color for x in diffuse_moments(value, z, world)]
         return (ray + 1, sampler, *(a + b for a, b in zip(sums, added, strict=True)))
 
-    zero = dr.zeros(mi.Float, count)
-    _, *sums = fold(0, number, add, sampler, *[zero] * (3 * MOMENTS))
+    _, *sums = fold(0, number, add, sampler, *[dr.zeros(mi.Float, count)] * (3 * MOMENTS))
     sums = [2 * np.pi * step * total for total in sums]
     moments = [sums[first : first + MOMENTS] for first in range(0, len(sums), MOMENTS)]
     dr.eval(moments)

@@ -47,13 +47,12 @@ def trace_panorama(capture: Capture, scene: Any, integrator: Any) -> Panorama:
 
     ``scene`` and ``integrator`` are those of ``surroundings``.
     """
-    others = other_shapes(capture.scene, capture.shape)
-    alone = make_scene([shape for shape in others if not shape.is_emitter()])
+    rest = make_scene([x for x in other_shapes(capture.scene, capture.shape) if not x.is_emitter()])
     center = mi.Point3f(capture.mesh.bbox().center())
     dr.make_opaque(center)
     toward = directions(2 * (ROWS - 1), ROWS)
     world = to_drjit(mi.Vector3f, toward.reshape(-1, 3).T.astype(np.float32))
-    met = alone.ray_intersect_preliminary(mi.Ray3f(center, world))
+    met = rest.ray_intersect_preliminary(mi.Ray3f(center, world))
     ray = mi.RayDifferential3f(center + (1 - BEFORE) * met.t * world, world)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, 0), dr.width(world))

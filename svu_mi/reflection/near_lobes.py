@@ -34,15 +34,14 @@ class NearLobes:
 
     def reflect(self, surface: TexelLanes, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light reflected by each lobe."""
-        some, result = sum(of_channel[0] for of_channel in self.near.moments) > 0, []
-        sampled = self._sample(surface, direction, some)
+        sampled, result = self._sample(surface, direction), []
         for level, (alpha, color) in enumerate(zip(self.alpha.tolist(), sampled, strict=True)):
             light = [sum(color) / 3] if self.channels == 1 else color
             A, B, D = self.albedo.at(level, alpha, cosine)
             result.append([(A * value, B * value, D * value) for value in light])
         return result
 
-    def _sample(self, surface: TexelLanes, direction: Any, active: Any) -> list[list[Any]]:
+    def _sample(self, surface: TexelLanes, direction: Any) -> list[list[Any]]:
         """Return R, G and B of other surfaces in each lobe.
 
         Rays follow visible GGX normals of all widths in turn. Each lobe weights all rays by the
@@ -68,17 +67,17 @@ class NearLobes:
             toward = mi.reflect(local, normal)
             world = frame.to_world(toward)
             up = (toward.z > 0) & (dr.dot(surface.geometric_normal, world) > 0)
-            color = self.near.surfaces.radiance_along(origin, world, up)
             incident = dr.maximum(toward.z, GRAZING)
             density = sum(ggx(normal.z, a) * masking for a, masking in sampled)
             scale = dr.select(toward.z > 0, dr.rcp(density), 0)
+            size = scale * local.z * (4 * len(WIDTHS) / RAYS)  # solid angle of a ray
+            color = self.near.surfaces.radiance_along(origin, world, up, size)
             weights = [ggx(normal.z, a) * g * smith_g1(incident, a) * scale for a, g in lobes]
             added = [weight * value for weight in weights for value in (1, *color)]
             sums = tuple(old + new for old, new in zip(sums, added, strict=True))
             return dr.select((ray + 1 == FIRST) & (sum(sums[-3:]) == 0), RAYS, ray + 1), *sums
 
-        zero = dr.zeros(mi.Float, surface.count)
-        rays = dr.select(active, dr.opaque(mi.UInt32, RAYS), 0)
-        sums = fold(0, rays, add, *[zero] * (4 * len(widths)))
+        rays = dr.select(sum(x[0] for x in self.near.moments) > 0, dr.opaque(mi.UInt32, RAYS), 0)
+        sums = fold(0, rays, add, *[dr.zeros(mi.Float, surface.count)] * (4 * len(widths)))
         return [[x / dr.maximum(sums[4 * k], FAINT) for x in sums[4 * k + 1 : 4 * k + 4]]
                 for k in lobe.tolist()]  # fmt: skip

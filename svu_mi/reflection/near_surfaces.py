@@ -2,7 +2,8 @@
 
 The object is shaded by materials estimated from the photographs. Rays that hit it read the diffuse
 radiance of the nearest texel, and the light in the lobe around the mirror direction. Where that
-meets the object again, texels look alike from all sides.
+meets the object again, texels look alike from all sides. Rays stand for the directions around them,
+so that lobes are widened, as at a mirror that is curved [Krivanek and Colbert 2008].
 """
 
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from svu_mi.geometry.sample_view import mirror_direction
 from svu_mi.light.panorama import Panorama
 from svu_mi.reflection.mix_columns import mixed_radiance
 from svu_mi.reflection.render_model import PrefilteredModel, lobe_light
+
+WIDENED = 0.5 / dr.pi  # square of the alpha that lobes gain, relative to the solid angle of rays
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,17 @@ class NearSurfaces:
     shown: ShownObject | None
     others: Panorama | None
 
-    def radiance_along(self, origin: Any, direction: Any, active: Any) -> Any:
-        """Return the radiance of the first surface on each active ray, Color3f; lamps are black."""
+    def radiance_along(self, origin: Any, direction: Any, active: Any, size: Any) -> Any:
+        """Return the radiance that active rays of solid angle ``size`` meet; lamps are black."""
         ray = mi.Ray3f(origin, direction)
         met = self.scene.ray_intersect_preliminary(ray, False, active)
         hits, itself = active & met.is_valid(), self._is_object(met)
         color = mi.Color3f(0)
         if self.shown is not None:
-            color += dr.if_stmt((ray, met), hits & itself, self._shaded, lambda *_: mi.Color3f(0))
+            color = dr.if_stmt((ray, met, size), hits & itself, self._shaded, lambda *_: color)
         return color + self._of_others(ray(met.t), met, hits)
 
-    def _shaded(self, ray: Any, met: Any) -> Any:
+    def _shaded(self, ray: Any, met: Any, size: Any) -> Any:
         """Return the radiance of hits of the object toward the origins of rays, Color3f."""
         assert self.shown is not None
         shape = self.scene.shapes()[0]  # a virtual call would depend on all shapes in memory
@@ -71,7 +74,8 @@ class NearSurfaces:
         toward, normal = -ray.d, mi.Vector3f(hit.sh_frame.n)
         front = dr.dot(hit.n, toward) > 0
         diffuse, paint = self.shown.at(hit.uv)
-        light, (A, B, D) = lobe_light(self.shown.light, diffuse.w, normal, toward)
+        roughness = dr.sqrt(dr.sqrt(dr.square(dr.square(diffuse.w)) + WIDENED * size))
+        light, (A, B, D) = lobe_light(self.shown.light, roughness, normal, toward)
         mirror = mirror_direction(normal, toward)
         up = front & (dr.dot(hit.n, mirror) > 0)
         light = [dr.select(up, distant, 0) for distant in light]
@@ -92,8 +96,7 @@ class NearSurfaces:
         """Return the radiance of hits of other shapes; lamps are sampled directly."""
         if self.others is None:
             return mi.Color3f(0)
-        lit = active & ~self._is_object(met) & ~met.shape.is_emitter()
-        return self.others.radiance(point, lit)
+        return self.others.radiance(point, active & ~self._is_object(met) & ~met.shape.is_emitter())
 
     def _is_object(self, met: Any) -> Any:
         return met.shape == mi.ShapePtr(self.scene.shapes()[0])

@@ -53,7 +53,7 @@ class Glowing:
     scene: Any
     color: list[float]
 
-    def radiance_along(self, origin, direction, active):
+    def radiance_along(self, origin, direction, active, _size):
         met = self.scene.ray_test(mi.Ray3f(origin, direction), active=active)
         return dr.select(met, mi.Color3f(self.color), 0)
 
@@ -183,7 +183,7 @@ def test_a_shown_object_looks_as_path_traced(tmp_path, roughness):
     toward, paths = to_drjit(mi.Vector3f, fibonacci(200).T.astype(np.float32)), 4096
     ray = mi.Ray3f(4 * toward, dr.normalize(mi.Vector3f(0.2, 0.1, -0.2) - 4 * toward))
     met = black.ray_intersect_preliminary(ray)
-    found = surfaces.radiance_along(ray.o, ray.d, met.is_valid()).numpy()
+    found = surfaces.radiance_along(ray.o, ray.d, met.is_valid(), mi.Float(0)).numpy()
     random = mi.load_dict({"type": "independent"})
     random.seed(7, 200 * paths)
     many = dr.gather(mi.Ray3f, ray, dr.repeat(dr.arange(mi.UInt32, 200), paths))
@@ -196,6 +196,27 @@ def test_a_shown_object_looks_as_path_traced(tmp_path, roughness):
     assert np.sqrt((error**2).mean()) < 0.1  # the model's lobes are symmetric
 
 
+def test_a_ray_mirrors_the_lamps_of_its_solid_angle():
+    """A mirror shows a small lamp to more rays, if these are broad; the mean of all stays."""
+    pixels = np.zeros((128, 256, 3), np.float32)
+    pixels[41:43, 61:63] = 2000.0
+    sky = read_environment(mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(pixels)}))
+    light = prefiltered_model(band_limited_lighting(sky, 9), angular(), 16)
+    scene = emitting("sphere")
+    surfaces, count = NearSurfaces(scene, ShownObject(light, golden(0.3), (1, 1)), None), 20000
+    toward = to_drjit(mi.Vector3f, fibonacci(count).T.astype(np.float32))
+    # Rays to the centre meet the sphere at right angles, and return.
+    narrow, broad = (
+        surfaces.radiance_along(4 * toward, -toward, mi.Bool(True), mi.Float(size)).numpy()[0]
+        for size in (0.0, 0.05)
+    )
+    assert broad.mean() == pytest.approx(narrow.mean(), rel=0.02)
+    # Squared alpha rises by .05 / 2 pi, from .0081: the peak of GGX falls to about one half.
+    assert broad.max() / narrow.max() == pytest.approx(
+        0.0081 / (0.0081 + 0.05 / 2 / np.pi), rel=0.1
+    )
+
+
 def test_mirror_rays_of_a_shown_object_meet_it():
     """Inside a bright sphere of metal, its albedo is added, whose closed form is Mitsuba's."""
     scene = emitting("sphere", flip_normals=True, radius=1.0)
@@ -205,7 +226,7 @@ def test_mirror_rays_of_a_shown_object_meet_it():
     toward = to_drjit(mi.Vector3f, fibonacci(count).T.astype(np.float32))
     ray = mi.Ray3f(mi.Point3f(0, 0, 0.3), toward)
     hit, every = scene.ray_intersect(ray), mi.Bool(True)
-    found = surfaces.radiance_along(ray.o, ray.d, every).numpy()
+    found = surfaces.radiance_along(ray.o, ray.d, every, mi.Float(0)).numpy()
     metal = mi.load_dict({
         "type": "principled", "base_color": {"type": "rgb", "value": GOLD}, "metallic": 1.0,
         "roughness": 0.5,
@@ -240,7 +261,7 @@ def test_a_shown_object_mirrors_sky_and_table():
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     ray = mi.Ray3f(*(to_drjit(mi.Vector3f, x.T.astype(np.float32)) for x in (start, toward)))
     surfaces = NearSurfaces(scene, shown, around)
-    found = surfaces.radiance_along(ray.o, ray.d, mi.Bool(True)).numpy().T
+    found = surfaces.radiance_along(ray.o, ray.d, mi.Bool(True), mi.Float(0)).numpy().T
     along = (start * toward).sum(axis=1)
     normal = start - (along + np.sqrt(along**2 - 8))[:, None] * toward  # on the unit sphere
     cosine = -(normal * toward).sum(axis=1)
@@ -305,7 +326,7 @@ def test_a_table_is_as_bright_as_path_traced(tables):
                    -to_drjit(mi.Vector3f, np.stack([x, y, z]).astype(np.float32)))  # fmt: skip
     met = scene.ray_intersect_preliminary(ray).shape
     lit = met == mi.ShapePtr(next(s for s in scene.shapes() if s.id() == "table"))
-    found = surfaces.radiance_along(ray.o, ray.d, lit).numpy()[:, lit.numpy()]
+    found = surfaces.radiance_along(ray.o, ray.d, lit, mi.Float(0)).numpy()[:, lit.numpy()]
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(5, count * paths)
     many = dr.gather(mi.Ray3f, ray, dr.repeat(dr.arange(mi.UInt32, count), paths))
