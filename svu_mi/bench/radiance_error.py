@@ -3,7 +3,7 @@
 Lobes narrower than ``NARROWEST`` are left out. Medians need accurate references. Root mean squares
 need many pairs, because a few mirror a lamp: the mean product of the errors relative to two halves
 of the paths is the squared error without the reference's noise. Paths are stratified, which takes a
-tenth of the noise of independent ones.
+tenth of the noise of independent ones in direct light.
 """
 
 from typing import Any
@@ -21,8 +21,8 @@ from svu_mi.reflection.mix_columns import interpolate_radiance
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.roughness_levels import level_shares, roughness_levels
 
-PAIRS, SIDE = 1000, 32  # random pairs of texel and view; each half has SIDE^2 paths
-MANY = 4  # times as many pairs, with a quarter of the paths, for root mean squares
+PAIRS, SIDE = 500, 64  # random pairs of texel and view; each half has SIDE^2 paths
+MANY, COARSE = 8, 4  # times as many pairs, with SIDE divided by COARSE, for root mean squares
 BATCH = 256  # paths of each pair per launch
 OFTEN = 8  # draws of texel and view for each pair, of which few are visible
 NARROWEST, GRAZING = 0.05, 0.05  # smallest alpha, and cosine of the viewing angle
@@ -38,7 +38,7 @@ def radiance_error(
     right = halves.mean(axis=0)
     lit = right > 0  # lamps leave some pairs in the dark
     median = float(np.median(np.abs(found - right)[lit] / right[lit]))
-    found, halves = _compared(observed, switches, MANY * pairs, side // 2)
+    found, halves = _compared(observed, switches, MANY * pairs, side // COARSE)
     squares = np.prod(found - halves, axis=0)
     squares = squares[np.argsort(np.abs(squares))][: int(np.ceil((1 - WORST) * len(squares)))]
     rms = float(np.sqrt(max(squares.mean(), 0)) / halves.mean())

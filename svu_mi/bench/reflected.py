@@ -38,7 +38,7 @@ from svu_mi.presets import preset
 SIZES: dict[str, Any] = {"views": 24, "film": 192, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
 TEXELS, QUICK_TEXELS = 96, 32  # per side
-QUICK_PATHS = 100, 8  # pairs, and square root of the paths of each half
+QUICK_PATHS = 50, 16  # pairs, and square root of the paths of each half
 DEPTH = "6"  # of photographs with all bounces
 GREY, BLACK = (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 # Directions of four square area lights and their radiance, three radii from the object.
