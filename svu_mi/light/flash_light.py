@@ -13,7 +13,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
 from svu_mi.light.lamps import END
-from svu_mi.light.light_visibility import SampleBits
+from svu_mi.light.light_visibility import SampleBits, is_unoccluded
 
 
 class FlashCell:
@@ -78,7 +78,5 @@ class FlashLight:
         return seen.seen & self._is_free(scene, surface, slot, active)
 
     def _is_free(self, scene: Any, surface: TexelLanes, slot: Any, active: Any) -> Any:
-        origin = surface.position + surface.offset * surface.geometric_normal
-        way = dr.gather(mi.Point3f, self.position, slot) - origin
-        ray = mi.Ray3f(origin, mi.Vector3f(way), 1 - END, 0.0, [])
-        return ~scene.ray_test(ray, coherent=True, active=active)
+        way = mi.Vector3f(dr.gather(mi.Point3f, self.position, slot) - surface.position)
+        return is_unoccluded(scene, surface, way, active, coherent=True, distance=1 - END)

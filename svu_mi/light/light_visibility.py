@@ -183,9 +183,11 @@ def trace_mirror(scene: Any, surface: TexelLanes, seen: ViewSample, active: Any)
 
 
 def is_unoccluded(
-    scene: Any, surface: TexelLanes, direction: Any, active: Any, *, coherent: bool
-) -> Any:
-    """Trace one ray per active texel; return True (Bool) if it leaves the scene."""
+    scene: Any, surface: TexelLanes, direction: Any, active: Any, *, coherent: bool,
+    distance: Any = None,
+) -> Any:  # fmt: skip
+    """Trace one ray per active texel; return True (Bool) if it is free up to a distance."""
     origin = surface.position + surface.offset * surface.geometric_normal
-    ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
+    most = dr.largest(mi.Float) if distance is None else distance
+    ray = mi.Ray3f(origin, direction, most, 0.0, [])
     return active & ~scene.ray_test(ray, coherent=coherent, active=active)

@@ -26,8 +26,8 @@ class LampLobes:
     def reflect(self, lane: Any, normals: Normals, direction: Any, cosine: Any) -> list[Lobe]:
         """Return the light of lamps that each lobe reflects towards a camera."""
         sums = LobeSums(self.alpha, self.channels, normals, direction)
-        cells, every = self.lamps.seen_from(lane), mi.Bool(True)
-        return sums.of_cells(cells, self.lamps.number, every, cosine)
+        first, cells = dr.gather(mi.UInt32, self.lamps.place, lane), self.lamps.cells
+        return sums.of_cells(cells, cells.count, mi.Bool(True), cosine, first, self.lamps.lanes)
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,7 @@ class FlashLobes:
     def moments(self, surface: TexelLanes, cell: FlashCell) -> list[list[Any]]:
         """Return the diffuse moments (``LightVisibility.diffuse``): 8 Floats per channel."""
         cosine = dr.maximum(dr.dot(surface.normal, cell.direction), 0)
-        values = cell.light(0, self.channels)
-        return [diffuse_moments(value, cosine, cell.direction) for value in values]
+        return [diffuse_moments(x, cosine, cell.direction) for x in cell.light(0, self.channels)]
 
     def retroreflection(
         self, surface: TexelLanes, cell: FlashCell, direction: Any, cosine: Any

@@ -28,6 +28,7 @@ BENT = 0.1  # maximum alpha of lobes that are averaged over normals
 LARGE = 1.8  # rho^2 / (s cos^2 theta_d) above which a cell is subdivided
 PARTLY = 4.0  # factor of rho^2 of coarse cells that are partly hidden
 PLACE, WHOLE = 16, 2**15  # number of bits for the place of a cell, and visible part of whole cells
+STRIPS, MOST = 4.0, 16.0  # factor and maximum of the number of strips of a cell
 ROOM = 1024  # largest number of leaves in a list; beyond, a fine cell stays whole
 
 Lobe = list[tuple[Any, Any, Any]]
@@ -67,8 +68,11 @@ class LobeSums:
         """Return empty sums."""
         return [0 * self.direction.x for _ in range(3 * self.channels * len(self.alpha))]
 
-    def add(self, cell: tuple[Any, ...], sums: list[Any]) -> list[Any]:
-        """Add a cell, given by its direction, radius and irradiance per channel."""
+    def add(self, cell: tuple[Any, ...], sums: list[Any], ratio: Any = 1) -> list[Any]:
+        """Add a cell, given by its direction, radius and irradiance per channel.
+
+        ``ratio`` is that of its squared radii across and along the plane of incidence.
+        """
         toward, radius, light = cell
         both = toward + self.direction  # along the half vector
         square = dr.squared_norm(both)
@@ -77,27 +81,46 @@ class LobeSums:
         schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
         parts = [value * factor for value in light for factor in (1 - schlick, schlick, dielectric)]
         # Perpendicular to the plane of incidence, the rotation is 1 / cos theta_d as large.
-        spread = dr.square(radius) * dr.fma(2 * inverse, inverse, 0.5)
+        spread = dr.square(radius) * dr.fma(2 * inverse, inverse * ratio, 0.5)
         lobes = self._averaged(both, inverse, dr.dot(self.normals.mean, toward), spread)
         pairs = zip(sums, product(lobes, parts), strict=True)
         return [dr.fma(part, lobe, old) for old, (lobe, part) in pairs]
 
-    def of_cells(self, cells: Cells, count: Any, free: Any, cosine: Any) -> list[Lobe]:
-        """Return the lobes of ``count`` cells in lanes where these are visible (``free``)."""
+    def of_cells(
+        self, cells: Cells, end: Any, free: Any, cosine: Any, first: Any = 0, step: Any = 1
+    ) -> list[Lobe]:  # fmt: skip
+        """Return the lobes of each ``step``-th cell from ``first`` to ``end``, where ``free``."""
 
         def add(cell: Any, sums: list[Any]) -> tuple[Any, Any]:
             toward, radius = cells.at(cell)
             lit = mi.Bool(free & (dr.dot(self.normals.mean, toward) > 0))
-            (sums,) = dr.if_stmt(
-                args=(sums,), cond=lit, false_fn=lambda sums: (sums,),
-                true_fn=lambda sums: (
-                    self.add((toward, radius, cells.light(cell, self.channels)), sums),
-                ),
-            )  # fmt: skip
-            return cell + 1, sums
+            number = self._strips(toward, radius)
+            part = dr.rcp(mi.Float(number))
+            light = [part * value for value in cells.light(cell, self.channels)]
+            across = dr.cross(toward, self.direction)
+            across *= np.pi**0.5 * radius * dr.rsqrt(dr.maximum(dr.squared_norm(across), 1e-12))
 
-        (sums,) = fold(0, count, add, self.zeros())
+            def strip(k: Any, sums: list[Any]) -> tuple[Any, Any]:
+                center = dr.normalize(toward + ((mi.Float(k) + 0.5) * part - 0.5) * across)
+                return k + 1, self.add((center, radius, light), sums, dr.square(part))
+
+            (sums,) = fold(0, dr.select(lit, number, 0), strip, sums)
+            return cell + step, sums
+
+        (sums,) = fold(first, end, add, self.zeros())
         return self.lobes(sums, cosine)
+
+    def _strips(self, toward: Any, radius: Any) -> Any:
+        """Return the number of strips, UInt32, into which a cell is divided.
+
+        In half vectors, a cell is 1 / cos theta_d as wide across the plane of incidence as along
+        it. Near the mirror direction, strips are as wide as long.
+        """
+        both = toward + self.direction
+        square, up = dr.squared_norm(both), dr.dot(self.normals.mean, both)
+        near = STRIPS * radius * dr.rsqrt(dr.fma((NARROW**2 - 1) * up, up, square))
+        # |both| = 2 cos theta_d; the argument of the second root is s |both|^2.
+        return mi.UInt32(dr.clip(2 * dr.minimum(dr.rsqrt(square), near) + 0.5, 1, MOST))
 
     def lobes(self, sums: list[Any], cosine: Any) -> list[Lobe]:
         """Return the lobes from their sums; ``cosine`` is that of the viewing angle."""

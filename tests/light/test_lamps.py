@@ -54,12 +54,22 @@ def traced(scene, normals, *, occluded=True):
     return trace_lamps(scene, lamps_of(scene), texel_facing(normals), occluded=occluded)
 
 
+def index_of(lamps, cell, texel):
+    """Index of a cell as seen from a texel."""
+    return mi.UInt32(cell * int(lamps.lanes[0]) + int(lamps.place[texel]))
+
+
+def number_of(lamps):
+    """Number of cells."""
+    return lamps.cells.number // int(lamps.lanes[0])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_single_lamps_give_their_irradiance(kind):
     """1, 2, 4 from (0, .6, .8): I / r^2, or the irradiance itself. Nothing from below."""
     normals = np.array([[0, 0.6, 0.8], [0, 0, 1], [0, 0, -1]])
     lamps = traced(scene_of(lamp=lamp(kind)), normals)
-    toward, radius = lamps.seen_from(mi.UInt32(0)).at(mi.UInt32(0))
+    toward, radius = lamps.cells.at(index_of(lamps, 0, 0))
     np.testing.assert_allclose(toward.numpy()[:, 0], [0, 0.6, 0.8], atol=1e-6)
     assert radius.numpy() == 0
     cosine = np.array([1, 0.8, 0])
@@ -102,6 +112,15 @@ def reflected(alpha, radius, view, normal):
     return (flux * d * g1(incident) * g1(outgoing) / (4 * outgoing)).sum()
 
 
+def lobe_of(alpha, radius, view, normal):
+    """The light of the disk that the model reflects."""
+    lobes = LampLobes(traced(scene_of(lamp=disk(radius)), normal), 3, np.array([alpha, 0.9]))
+    surface, direction = texel_facing(normal), mi.Vector3f(*map(float, view))
+    normals, cosine = Normals.of(surface.normal), dr.dot(surface.normal, direction)
+    p, q, _ = lobes.reflect(surface.lane, normals, direction, cosine)[0][0]
+    return (p + q).numpy()[0]
+
+
 @pytest.mark.parametrize(("alpha", "radius", "bar"), [
     (0.05, 0.05, 0.02), (0.3, 0.4, 0.02), (0.6, 1.0, 0.02), (0.02, 0.4, 0.1),
 ])  # fmt: skip
@@ -109,26 +128,52 @@ def test_lobes_are_integrals_over_the_lamp(alpha, radius, bar):
     """Also where the lobe is narrower than a cell: near the mirror direction of the centre."""
     normal = unit(np.array([0.1, 0.0, 1.0]))
     view = 2 * normal[2] * normal - [0, 0, 1]
-    lamps = traced(scene_of(lamp=disk(radius)), normal)
-    lobes = LampLobes(lamps, 3, np.array([alpha, 0.9]))
-    surface = texel_facing(normal)
-    direction = mi.Vector3f(*map(float, view))
-    normals, cosine = Normals.of(surface.normal), dr.dot(surface.normal, direction)
-    found = lobes.reflect(surface.lane, normals, direction, cosine)
-    for ((p, q, _),) in zip(*[iter(found[0])], strict=True):
-        assert (p + q).numpy() == pytest.approx(reflected(alpha, radius, view, normal), rel=bar)
+    expected = reflected(alpha, radius, view, normal)
+    assert lobe_of(alpha, radius, view, normal) == pytest.approx(expected, rel=bar)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.1])
+def test_grazing_lobes_end_at_edges_of_lamps(alpha):
+    """The mirror ray meets an edge; in half vectors, cells are six times as wide as long.
+
+    Disks that are as large err by .15 of the light of the centre at alpha .05.
+    """
+    normal = unit(np.array([6.0, 0.0, 1.0]))
+    mirror = 2 * normal[2] * normal - [0, 0, 1]
+    bar = 0.06 * reflected(alpha, 0.4, mirror, normal)
+    for offset in (0.15, 0.2, 0.25):
+        view = unit(mirror + [0, offset, 0])
+        expected = reflected(alpha, 0.4, view, normal)
+        assert lobe_of(alpha, 0.4, view, normal) == pytest.approx(expected, abs=bar)
+
+
+@pytest.mark.parametrize(("size", "cells"), [
+    ((1.0, 1.0), (8, 8)), ((0.8, 0.1), (13, 2)), ((0.1, 0.8), (2, 13)), ((0.01, 0.01), (2, 2)),
+])  # fmt: skip
+def test_cells_are_as_wide_as_long(size, cells):
+    """A rectangle from 2 away: 2 atan(.4) = .761 rad in 13 cells of .06, .1 in two."""
+    to = place().translate([0, 0, 2]).rotate([1, 0, 0], 180).scale([*size, 1])
+    shape = {"type": "rectangle", "to_world": to, "emitter": {"type": "area", "radiance": 1.0}}
+    lamps = traced(scene_of(lamp=shape), [[0, 0, 1]])
+    assert number_of(lamps) == cells[0] * cells[1]
+    directions = lamps.cells.toward.numpy().reshape(-1, 4).astype(np.float64)
+    deviation = np.std(2 * directions[:, :2] / directions[:, 2:3], axis=0)
+    # Of n points at (2 k + 1) / n - 1.
+    expected = np.array(size) * np.sqrt((1 - np.array(cells) ** -2.0) / 3)
+    np.testing.assert_allclose(deviation, expected, rtol=1e-4)
 
 
 def test_subsets_see_the_same_lamps():
     normals = unit(np.random.default_rng(1).normal(size=(5, 3)))
     lamps = traced(scene_of(lamp=disk(0.5), other=POINT), normals)
     some = lamps.subset(np.array([3, 1, 3]))
-    for cell in (0, 3, int(lamps.number[0]) - 1):
-        for lane, whole in enumerate((3, 1, 3)):
-            a, b = some.seen_from(mi.UInt32(lane)), lamps.seen_from(mi.UInt32(whole))
-            for x, y in zip(a.at(mi.UInt32(cell)), b.at(mi.UInt32(cell)), strict=True):
+    for cell in (0, 3, number_of(lamps) - 1):
+        for texel, whole in enumerate((3, 1, 3)):
+            a, b = index_of(some, cell, texel), index_of(lamps, cell, whole)
+            for x, y in zip(some.cells.at(a), lamps.cells.at(b), strict=True):
                 np.testing.assert_array_equal(x.numpy(), y.numpy())
-            x, y = (cells.light(mi.UInt32(cell), 1)[0].numpy() for cells in (a, b))
+            x, y = (seen.cells.light(place, 1)[0].numpy() for seen, place in
+                    ((some, a), (lamps, b)))  # fmt: skip
             np.testing.assert_array_equal(x, y)
 
 
