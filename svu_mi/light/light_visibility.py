@@ -78,9 +78,8 @@ class LightVisibility:
             direction = self.tree.fine.at(cell)[0]
             cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
             above = dr.dot(surface.geometric_normal, direction) > 0
-            share = dr.select(above, cosine * (end - start), 0)  # leaves have equal solid angles
-            visible = dr.select(self.fine.test(cell, self.place), share, 0)
-            return cell + 1, whole + share, free + visible
+            own = dr.select(above, cosine * (end - start), 0)  # leaves have equal solid angles
+            return cell + 1, whole + own, free + dr.select(self.fine.test(cell, self.place), own, 0)
 
         zero = dr.zeros(mi.Float, surface.count)
         whole, free = fold(0, self.tree.fine.count, add, zero, zero)

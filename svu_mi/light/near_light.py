@@ -12,7 +12,7 @@ from svu_mi.geometry.sample_view import TexelLanes
 from svu_mi.light.band_limited import MOMENTS, diffuse_moments
 
 GOLDEN = (5**0.5 - 1) / 2
-SAMPLES, FEWEST, MOST = 2**22, 64, 128  # rays of all texels, and of each
+SAMPLES, FEWEST, MOST = 2**22, 64, 96  # rays of all texels, and of each
 
 
 class Surfaces(Protocol):

@@ -21,6 +21,7 @@ from svu_mi.posterior.observations import Observed
 
 # Photographs with all bounces need 1/2, those without need 0 (notebooks/design/calibration.md).
 MOST = 0.25
+ALONE = 256  # maximum number of light cells whose visibility is traced without other shapes
 MISSING_MEAN, MISSING_SD, MISSING_RMS = MOST / 2, MOST / np.sqrt(12), MOST / np.sqrt(3)  # of u
 
 
@@ -40,7 +41,7 @@ def hidden_share(observed: Observed, cells: int, texels: np.ndarray) -> np.ndarr
     scene, hidden = observed.capture.scene, [np.empty(0, np.float32)]
     if other_shapes(scene, observed.capture.shape):  # a black cloth hides light, but reflects none
         alone = replace(observed.views, scene=object_only_scene(observed.capture))
-        observed = replace(observed.subset(observed.seen), views=alone)
+        observed, cells = replace(observed.subset(observed.seen), views=alone), min(cells, ALONE)
     for first in range(0, len(texels), TILE):
         own = texels[first : first + TILE]
         part = observed if observed.texels.count <= TILE else observed.subset(own)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from svu_mi.posterior.observations import Observed
 
 MOST = 2**12  # number of texels whose materials are estimated
-LEVELS = 8  # number of roughness levels of prefiltered light
+LEVELS, PARTS = 6, 14  # numbers of roughness levels, also of light, and parts of roughness
 
 
 def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:
@@ -42,7 +42,7 @@ def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces
 
 def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, np.ndarray]:
     """Return the object, and its mean radiance (H, W, 3), row 0 at v = 0."""
-    switches = AngularPreset(cells=cells)
+    switches = AngularPreset(cells=cells, levels=LEVELS, parts=PARTS)
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
     chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
     part = observed.subset(chosen)
