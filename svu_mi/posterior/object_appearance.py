@@ -1,7 +1,7 @@
 """The object, with estimated materials, for the light that it reflects onto itself.
 
-Materials of some texels are estimated as if there were no such light, so that the brightness of the
-photographs is reproduced. Other texels have those of the nearest one.
+Materials of some texels are estimated as if there were no such light, and matte ones are as bright
+as in the photographs. Other texels have those of the nearest one.
 """
 
 from typing import TYPE_CHECKING
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from svu_mi.posterior.observations import Observed
 
 MOST = 2**12  # number of texels whose materials are estimated
+BRIGHTER = 4.0  # largest ratio of the photographs to radiance without the object's own light
 LEVELS, PARTS = 6, 14  # numbers of roughness levels, also of light, and parts of roughness
 
 
@@ -57,12 +58,14 @@ def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, np.nda
     photographed = part.visibility.mean_color(part.views, part.surface)
     unseen = np.isnan(photographed).any(axis=1)
     # Unseen texels have the mean reflectance of photographs; seen ones are as bright as these.
-    expected = _matte(color, metal, total, total)[~unseen].sum()
-    color[unseen] *= photographed[~unseen].sum() / max(expected, np.finfo(np.float32).tiny)
+    tiny, expected = np.finfo(np.float32).tiny, _matte(color, metal, total, total)
+    color[unseen] *= photographed[~unseen].sum() / max(expected[~unseen].sum(), tiny)
     mean = np.where(unseen[:, None], _matte(color, metal, total, total), photographed)
     texels = observed.texels.subset(part.seen)
     # Lobes read no light of lamps.
     matte = _matte(color, metal, total, sum(of_lamps, np.zeros(3)))
+    ratio = np.clip(photographed / np.maximum(expected, tiny), 1 / BRIGHTER, BRIGHTER)
+    matte *= np.where(unseen[:, None], 1, ratio)
     values = np.concatenate([matte, roughness, color, metal], axis=1).astype(np.float32)
     light = prefiltered_model(observed.distant_light, switches, LEVELS)
     flat = to_drjit(mi.Float, filled_image(texels, values).ravel())

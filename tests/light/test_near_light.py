@@ -242,6 +242,36 @@ def test_mirror_rays_of_a_shown_object_meet_it():
     assert np.abs(found / expected - 1).mean() < 0.05
 
 
+def test_matte_parts_beside_others_are_as_bright_as_path_traced():
+    """Light that reaches a violet ball of plastic by way of its neighbours is in its blue light."""
+    scene = load_scene(scenes.path("spheres"), {"light": "studio"})
+    (shape,) = scene.shapes()
+    sensors = sphere_sensors(shape, 16, (64, 64))
+    images = render_views(scene, sensors, 32)
+    capture = memory_capture(scene, images, sensors, shape=shape, mesh=shape)
+    layout = svu.texels(shape, 64)
+    surfaces = near_surfaces(observe(capture, layout), preset("default", bounces=True))
+    random = np.random.default_rng(3)
+    chosen = to_drjit(mi.UInt32, random.integers(layout.count, size=20000).astype(np.uint32))
+    lanes = TexelLanes.of(layout, chosen)
+    points = mi.Point2f(*random.random((2, 20000)).astype(np.float32))
+    toward = mi.Frame3f(lanes.normal).to_world(mi.warp.square_to_cosine_hemisphere(points))
+    origin = lanes.position + lanes.offset * lanes.geometric_normal
+    hit = scene.ray_intersect(mi.Ray3f(origin, toward))
+    rough = shape.bsdf().eval_attribute_1("roughness", hit, hit.is_valid()) > 0.8
+    metal = shape.bsdf().eval_attribute_1("metallic", hit, hit.is_valid()) > 0.5
+    matte = hit.is_valid() & rough & ~metal & (dr.dot(hit.n, toward) < 0)
+    assert 100 < dr.count(matte)[0] < 2000
+    path, sampler = mi.load_dict(PATH), mi.load_dict({"type": "independent"})
+    real = 0.0
+    for seed in range(8):
+        sampler.seed(seed, 20000)
+        ray = mi.RayDifferential3f(origin, toward)
+        real += path.sample(scene, sampler, ray, None, matte)[0].z.numpy().sum() / 8
+    found = surfaces.radiance_along(origin, toward, matte, mi.Float(0)).z.numpy().sum()
+    assert 0.85 < found / real < 1.15
+
+
 def test_a_shown_object_mirrors_sky_and_table():
     """Diffuse radiance, and the light in the mirror direction times the albedo of its lobe."""
     below = mi.ScalarTransform4f().translate([0, -2, 0]).rotate([1, 0, 0], -90).scale(1000)
