@@ -1,7 +1,7 @@
 """Roughness levels of the statistics, and interpolation between them.
 
 Levels are closer together where lobes are narrow: level k of R has the roughness
-t / (2 - t) with t = k / (R - 1). Interpolation is uniform in k.
+(k / (R - 1))^``POWER``. Interpolation is uniform in k.
 """
 
 from typing import Any
@@ -9,23 +9,24 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+POWER = 1.5
+SMOOTHEST = 1e-3  # roughness below which the derivative of the place is constant
 SPLINE_LEVELS = 4  # number of levels that a spline interpolates
 
 
 def roughness_levels(count: int) -> np.ndarray:
     """Return the roughness of levels, (R,) float64 from 0 to 1."""
-    t = np.linspace(0, 1, count)
-    return t / (2 - t)
+    return np.linspace(0, 1, count) ** POWER
 
 
 def level_place(roughness: Any, last: Any) -> Any:
     """Return where roughness in [0, 1] is among levels, in [0, ``last``]."""
-    return last * 2 * roughness / (1 + roughness)
+    return last * roughness ** (1 / POWER)
 
 
 def level_slope(roughness: Any, last: Any) -> Any:
-    """Return the derivative of ``level_place``."""
-    return last * 2 / dr.square(1 + roughness)
+    """Return the derivative of ``level_place``, which is infinite at 0 and limited here."""
+    return last / POWER * dr.maximum(roughness, SMOOTHEST) ** (1 / POWER - 1)
 
 
 def linear_weights(roughness: Any, levels: int) -> list[Any]:
@@ -47,6 +48,9 @@ def catmull_rom(t: Any) -> list[Any]:
 def spline_weights(roughness: np.ndarray, levels: int) -> tuple[np.ndarray, np.ndarray]:
     """Return level indices and weights of Catmull-Rom interpolation, (N, 4) int64 and float64."""
     last = levels - 1
+    if last == 0:
+        shape = len(roughness), SPLINE_LEVELS
+        return np.zeros(shape, int), np.broadcast_to([1.0, 0, 0, 0], shape)
     place = level_place(np.clip(roughness, 0, 1), last)
     begin = np.minimum(np.floor(place), last - 1)
     weights = catmull_rom(place - begin)

@@ -6,12 +6,11 @@ import numpy as np
 
 
 def levels(count: int) -> np.ndarray:
-    """Return 1 / (2 / t - 1) at equally spaced t in [0, 1]."""
+    """Return t sqrt(t) at equally spaced t in [0, 1]."""
     t = np.arange(count) / max(count - 1, 1)
-    return np.divide(1, 2 / np.maximum(t, 1e-300) - 1)
+    return t * np.sqrt(t)
 
 
 def place(roughness: np.ndarray | float, count: int) -> np.ndarray:
     """Return t (count - 1)."""
-    r = np.asarray(roughness, np.float64)
-    return (1 - (1 - r) / (1 + r)) * (count - 1)
+    return np.cbrt(np.square(np.asarray(roughness, np.float64))) * (count - 1)
