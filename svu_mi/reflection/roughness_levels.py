@@ -48,9 +48,6 @@ def catmull_rom(t: Any) -> list[Any]:
 def spline_weights(roughness: np.ndarray, levels: int) -> tuple[np.ndarray, np.ndarray]:
     """Return level indices and weights of Catmull-Rom interpolation, (N, 4) int64 and float64."""
     last = levels - 1
-    if last == 0:
-        shape = len(roughness), SPLINE_LEVELS
-        return np.zeros(shape, int), np.broadcast_to([1.0, 0, 0, 0], shape)
     place = level_place(np.clip(roughness, 0, 1), last)
     begin = np.minimum(np.floor(place), last - 1)
     weights = catmull_rom(place - begin)
