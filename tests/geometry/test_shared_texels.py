@@ -51,13 +51,10 @@ def test_shared_rays_find_the_same_light():
     own = trace_light_visibility(scene, TexelLanes.of(layout), tree)
     some = trace_light_visibility(scene, TexelLanes.of(layout, chosen), tree, places)
     assert len(traced) < 0.26 * layout.count
-    for name, number in (("coarse", 128), ("fine", 1024)):
-        every, shared = (
-            bits_of(getattr(found, name), number, lanes)
-            for found, lanes in ((own, layout.count), (some, len(traced)))
-        )
-        assert 0.2 < every.mean() < 0.5  # half of the sky, less what the wall hides
-        # In a cell of 0.06 rad, the edge of the wall moves by at most 0.004 rad for most texels.
-        assert (every != shared[:, place]).mean() < 0.002
+    lanes = layout.count, len(traced)
+    every, shared = (bits_of(x.fine, 1024, n) for x, n in zip((own, some), lanes, strict=True))
+    assert 0.2 < every.mean() < 0.5  # half of the sky, less what the wall hides
+    # In a cell of 0.06 rad, the edge of the wall moves by at most 0.004 rad for most texels.
+    assert (every != shared[:, place]).mean() < 0.002
     part = some.subset(np.array([7, 0, 7]))
     np.testing.assert_array_equal(part.place.numpy(), place[[7, 0, 7]])
