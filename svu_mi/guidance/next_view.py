@@ -155,7 +155,7 @@ def _proposal(
 def _standard_error(gain: np.ndarray, left_out: float) -> float:
     """Return the standard error of the mean gain; 0 if no texels were omitted, NaN for one.
 
-    It has differences of successive texels (evenly spaced samples) [Wolter 1984].
+    Differences of successive texels give the variance of evenly spaced samples [Wolter 1984].
     """
     if left_out == 0 and not np.isnan(gain).all():
         return 0.0

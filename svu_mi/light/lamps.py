@@ -76,7 +76,7 @@ def trace_lamps(scene: Any, lamps: Sequence[Any], surface: TexelLanes, *, occlud
         dr.eval(toward, flux, sums)
         first += grid[0] * grid[1]
     moments = [sums[k : k + MOMENTS] for k in range(0, len(sums), MOMENTS)]
-    cells = LightCells(toward, flux, mi.Float(), total, dr.opaque(mi.UInt32, total))
+    cells = LightCells(toward, flux, total, dr.opaque(mi.UInt32, total))
     return Lamps(cells, moments, lanes, surface.lane)
 
 

@@ -40,14 +40,14 @@ class LightCells:
             with the same variance.
         flux: (4 N,) Float: radiance integrated over solid angle: R, G, B and their mean.
         size: (N,) Float: squared radius times a factor, larger for brighter cells, which are
-            subdivided earlier.
+            subdivided earlier; None for cells that are not subdivided.
     """
 
     toward: Any
     flux: Any
-    size: Any
     number: int
     count: Any
+    size: Any = None
 
     def at(self, cell: Any) -> tuple[Any, Any]:
         """Return direction (Vector3f) and radius (Float) of a cell."""
@@ -84,12 +84,12 @@ class LightTree:
     def every(self) -> LightCells:
         """Cells of all depths: coarse ones, then fine ones, then leaves."""
         depths = self.coarse, self.fine, self.leaves
-        toward, flux, size = (
+        toward, flux = (
             to_drjit(mi.Float, np.concatenate([getattr(cells, name).numpy() for cells in depths]))
-            for name in ("toward", "flux", "size")
+            for name in ("toward", "flux")
         )
         number = sum(cells.number for cells in depths)
-        return LightCells(toward, flux, size, number, dr.opaque(mi.UInt32, number))
+        return LightCells(toward, flux, number, dr.opaque(mi.UInt32, number))
 
 
 @dataclass(frozen=True)
@@ -228,21 +228,22 @@ def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
 
 
 def _cells(
-    flux: np.ndarray, pull: np.ndarray, environment: Environment, typical: float = 0.0
+    flux: np.ndarray, pull: np.ndarray, environment: Environment, typical: float | None = None
 ) -> LightCells:
-    """Return cells; ``typical`` is the mean flux, summed over channels, of fine cells."""
+    """Return cells; those to subdivide need ``typical``, the mean summed flux of fine cells."""
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # For unit directions, E|w - mean|^2 = 1 - |mean|^2; a disk has half the squared radius.
     mean = np.minimum(length / np.maximum(flux.sum(axis=1, keepdims=True), 1e-300), 1)
     radius = np.sqrt(2 * (1 - mean * mean))
-    bright = np.sqrt(flux.sum(axis=1) / typical) if typical > 0 else np.ones(len(flux))
+    bright = np.sqrt(flux.sum(axis=1) / typical) if typical else np.ones(len(flux))
+    size = np.square(radius[:, 0]) * np.clip(bright, *SIZES)
     world = pull / np.maximum(length, 1e-300) @ environment.to_local
     return LightCells(
         toward=to_drjit(mi.Float, np.hstack([world, radius]).ravel()),
         flux=to_drjit(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
-        size=to_drjit(mi.Float, np.square(radius[:, 0]) * np.clip(bright, *SIZES)),
         number=len(flux),
         count=dr.opaque(mi.UInt32, len(flux)),
+        size=None if typical is None else to_drjit(mi.Float, size),
     )
 
 

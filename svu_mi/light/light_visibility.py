@@ -134,8 +134,7 @@ def trace_light_visibility(
 
         return group + 1, *fold(start, end, inherit, word)
 
-    none = dr.zeros(mi.UInt32, count)
-    fold(0, tree.group_count, trace_group, none)
+    fold(0, tree.group_count, trace_group, dr.zeros(mi.UInt32, count))
     dr.eval(fine)
     return LightVisibility(tree, fine, lane if place is None else place)
 

@@ -143,7 +143,6 @@ def test_no_light_reaches_the_inside_of_a_box():
     light = environment(scenery)
     visibility = trace_light_visibility(scene, surface, tree(light, 1024))
     assert not bits_of(visibility.fine, 1024, 1).any()
-    assert not bits_of(visibility.fine, 1024, 1).any()
     result = visibility.diffuse(surface, band_limited_lighting(light, 16), 3)
     assert all((moment.numpy() == 0).all() for of_channel in result for moment in of_channel)
 
