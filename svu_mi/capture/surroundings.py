@@ -7,8 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.capture import Capture
-from svu_mi.capture.mesh import arrays, make_mesh
-from svu_mi.capture.replace_material import other_shapes, scene_around
+from svu_mi.capture.replace_material import other_shapes, replace_material
 
 BLACK = 0.05  # largest reflectance of black cloth, paper or paint
 HARMLESS = {"alpha", "specular_reflectance", "opacity", "weight"}  # do not brighten a dark BSDF
@@ -39,21 +38,16 @@ def path_length(scene: Any) -> int:
     return int(match[1]) if int(match[1]) < 2**31 else -1
 
 
-def surroundings(capture: Capture, radiance: np.ndarray | None) -> tuple[Any, Any]:
+def surroundings(capture: Capture, material: Any | None = None) -> tuple[Any, Any]:
     """Return the scene, with the object first, and an integrator for light of other shapes.
 
-    The object is black, or emits ``radiance``, (H, W, 3) with row 0 at v = 0.
+    The object has ``material``, a BSDF, or is black.
     """
-    props = mi.Properties()
-    if radiance is not None:
-        bitmap = mi.Bitmap(np.ascontiguousarray(radiance, np.float32))
-        image = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest"}
-        props["emitter"] = mi.load_dict({"type": "area", "radiance": image})
-    props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
-    shape = make_mesh("object", arrays(capture.mesh), props)
+    black = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
+    scene = replace_material(capture, black if material is None else material).scene
     length = path_length(capture.scene)
     depth = DEPTH if length < 0 else min(length, DEPTH)
-    return scene_around(shape, capture), mi.load_dict({"type": "path", "max_depth": depth})
+    return scene, mi.load_dict({"type": "path", "max_depth": depth})
 
 
 def is_black(bsdf: Any) -> bool:

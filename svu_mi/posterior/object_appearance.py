@@ -4,7 +4,7 @@ Materials of some texels are estimated as if there were no such light, and matte
 as in the photographs. Other texels have those of the nearest one.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
@@ -34,15 +34,15 @@ LEVELS, PARTS = 6, 14  # numbers of roughness levels, also of light, and parts o
 
 def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:
     """Return the surfaces whose light is modelled; the object is black without ``bounces``."""
-    shown, radiance = _shown_object(observed, switches.cells) if switches.bounces else (None, None)
+    shown, material = _shown_object(observed, switches.cells) if switches.bounces else (None, None)
     capture = observed.capture
-    scene, integrator = surroundings(capture, radiance)
+    scene, integrator = surroundings(capture, material)
     others = trace_panorama(capture, scene, integrator) if observed.has_reflectors else None
     return NearSurfaces(scene, shown, others)
 
 
-def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, np.ndarray]:
-    """Return the object, and its mean radiance (H, W, 3), row 0 at v = 0."""
+def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any]:
+    """Return the object, and its BSDF."""
     switches = AngularPreset(cells=cells, levels=LEVELS, parts=PARTS)
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
     chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
@@ -68,9 +68,17 @@ def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, np.nda
     matte *= np.where(unseen[:, None], 1, ratio)
     values = np.concatenate([matte, roughness, color, metal], axis=1).astype(np.float32)
     light = prefiltered_model(observed.distant_light, switches, LEVELS)
-    flat = to_drjit(mi.Float, filled_image(texels, values).ravel())
-    shown = ShownObject(light, flat, observed.texels.resolution)
-    return shown, filled_image(texels, mean)
+    image = filled_image(texels, values)
+    glow = mi.load_dict(_texture(filled_image(texels, mean)))
+    shown = ShownObject(light, to_drjit(mi.Float, image.ravel()), observed.texels.resolution, glow)
+    names = {"roughness": slice(3, 4), "base_color": slice(4, 7), "metallic": slice(7, 8)}
+    maps = {name: _texture(image[..., part].clip(0, 1)) for name, part in names.items()}
+    return shown, mi.load_dict({"type": "principled", **maps})
+
+
+def _texture(image: np.ndarray) -> dict[str, Any]:
+    """Return a texture of an image, (H, W, C) with row 0 at v = 0."""
+    return {"type": "bitmap", "data": mi.TensorXf(image), "raw": True, "filter_type": "nearest"}
 
 
 def _estimated(part: "Observed", model: ReflectionModel) -> np.ndarray:

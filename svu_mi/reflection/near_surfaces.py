@@ -29,11 +29,13 @@ class ShownObject:
         values: (8 W H,) Float: radiance (3) without lobes, roughness, base colour (3) and metallic
             of each texel, row 0 at v = 0.
         size: Width and height.
+        glow: mean radiance, a Texture.
     """
 
     light: PrefilteredModel
     values: Any
     size: tuple[int, int]
+    glow: Any
 
     def at(self, uv: Any) -> tuple[Any, ...]:
         """Return radiance and roughness, and base colour and metallic, a Vector4f each."""
@@ -48,7 +50,7 @@ class NearSurfaces:
     """The first shape of a scene, which is the object, and other shapes.
 
     Attributes:
-        shown: The object, which then emits its mean radiance in ``scene``; None if it is black.
+        shown: The object; None if it is black.
         others: Light of other shapes; None if they are black.
     """
 
@@ -78,15 +80,14 @@ class NearSurfaces:
         light, (A, B, D) = lobe_light(self.shown.light, roughness, normal, toward)
         mirror = mirror_direction(normal, toward)
         up = front & (dr.dot(hit.n, mirror) > 0)
-        light = [dr.select(up, distant, 0) for distant in light]
         ray = hit.spawn_ray(mirror)
         met = self.scene.ray_intersect_preliminary(ray, False, up)
         hidden = up & met.is_valid()
         behind = shape.compute_surface_interaction(ray, met, mi.RayFlags.UV)
-        behind.wi.z = -dr.dot(behind.n, mirror)
-        glow = shape.emitter().eval(behind, hidden & self._is_object(met))
+        itself = hidden & self._is_object(met) & (dr.dot(behind.n, mirror) < 0)
+        glow = dr.select(itself, mi.Color3f(self.shown.glow.eval(behind, itself)), 0)
         glow += self._of_others(ray(met.t), met, hidden)
-        light = [dr.select(hidden, own, distant) for own, distant in zip(glow, light, strict=True)]
+        light = [x + dr.select(up & ~hidden, y, 0) for x, y in zip(glow, light, strict=True)]
         parts = [(mi.Float(0), A * value, B * value, D * value) for value in light]
         shine = mixed_radiance(parts, [paint.x, paint.y, paint.z], [paint.w])
         color = mi.Color3f(diffuse.x, diffuse.y, diffuse.z) + mi.Color3f(*shine)

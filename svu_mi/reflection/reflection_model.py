@@ -26,7 +26,7 @@ from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.near_lobes import NearLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added_lobes
+from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added, added_lobes
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class ReflectionModel:
         for others in (light.near, light.lamps):
             if others is not None:
                 grey = [[sum(x) / 3 for x in zip(*others.moments, strict=True)]]
-                moments = _added(moments, others.moments if channels == 3 else grey)
+                moments = added(moments, others.moments if channels == 3 else grey)
         dr.eval(moments)
         return ReflectionModel(
             roughness, surface, switches, narrow, wide, fitted, moments, near, lamps, flash
@@ -158,7 +158,7 @@ class ReflectionModel:
                 raise OptionError("Views that are not photographs have no flash; use other light.")
             cell = self.flash.light.seen_from(self.surface, slot)
             lobes = added_lobes(lobes, self.flash.reflect(normals, cell, direction, cosine))
-            shown = _added(shown, self.flash.moments(self.surface, cell))
+            shown = added(shown, self.flash.moments(self.surface, cell))
             if self.switches.diffuse == "disney":
                 retro = self.flash.retroreflection(self.surface, cell, direction, cosine)
         shading = [
@@ -171,9 +171,3 @@ class ReflectionModel:
             ]
             for k, r in enumerate(self.roughness.tolist())
         ]
-
-
-def _added(first: list[list[Any]], second: list[list[Any]]) -> list[list[Any]]:
-    """Return the sums of the moments of each channel."""
-    both = zip(first, second, strict=True)
-    return [[a + b for a, b in zip(*pair, strict=True)] for pair in both]

@@ -37,10 +37,13 @@ Lobe = list[tuple[Any, Any, Any]]
 
 def added_lobes(first: list[Lobe], second: list[Lobe]) -> list[Lobe]:
     """Return the sums of lobes of the same widths."""
-    return [
-        [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
-        for both in zip(first, second, strict=True)
-    ]  # type: ignore[misc]
+    return [added(*both) for both in zip(first, second, strict=True)]
+
+
+def added(first: list[Any], second: list[Any]) -> list[Any]:
+    """Return the sums of a lobe, or of moments, for each channel."""
+    both = zip(first, second, strict=True)
+    return [[a + b for a, b in zip(*pair, strict=True)] for pair in both]
 
 
 class Cells(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Any
 
 import drjit as dr
@@ -16,6 +17,9 @@ from support.walled import BLACK, angular
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.bench.spoiled_captures import photographed, with_table
+from svu_mi.capture.mesh import arrays, make_mesh
+from svu_mi.capture.replace_material import scene_around
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.sensors import sphere_sensors
 from svu_mi.capture.surroundings import surroundings
@@ -38,6 +42,12 @@ from svu_mi.reflection.render_model import prefiltered_model
 ANGLE = 0.7  # between the axis and the rim of the disk
 RADIANCE = np.array([1.0, 2.0, 0.5])
 PATH = {"type": "path", "max_depth": 6}
+
+
+def glowing(color):
+    """A texture of one radiance."""
+    bitmap = mi.Bitmap(np.full((2, 2, 3), color, np.float32))
+    return mi.load_dict({"type": "bitmap", "bitmap": bitmap, "raw": True})
 
 
 def emitting(shape, **changes):
@@ -145,7 +155,11 @@ def test_an_object_photographed_from_above_looks_from_below_as_it_does(tmp_path)
     capture = memory_capture(scene, images, sensors, shape=ball, mesh=ball)
     observed = observe(capture, svu.texels(ball, 32))
     assert 0.2 < (observed.coverage == 0).mean() < 0.6
-    likeness = near_surfaces(observed, preset("default", bounces=True)).scene
+    surfaces = near_surfaces(observed, preset("default", bounces=True))
+    props = mi.Properties()
+    props["emitter"] = mi.load_dict({"type": "area", "radiance": surfaces.shown.glow})
+    props["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
+    likeness = scene_around(make_mesh("ball", arrays(ball), props), capture)
     below = sphere_sensors(ball, 3, (12, 12))[2]
     real, found = (
         np.array(mi.render(each, sensor=below, integrator=mi.load_dict(PATH), spp=256))
@@ -177,8 +191,10 @@ def test_a_shown_object_looks_as_path_traced(tmp_path, roughness):
         scene, [np.ones((24, 24, 3), np.float32)] * 2, sensors, shape=ball, mesh=ball
     )
     light = observe(capture, svu.texels(ball, 8)).distant_light
-    black, _ = surroundings(capture, np.zeros((8, 8, 3)))
-    shown = ShownObject(prefiltered_model(light, angular(), 16), golden(roughness), (1, 1))
+    black, _ = surroundings(capture)
+    shown = ShownObject(
+        prefiltered_model(light, angular(), 16), golden(roughness), (1, 1), glowing(0)
+    )
     surfaces = NearSurfaces(black, shown, None)
     toward, paths = to_drjit(mi.Vector3f, fibonacci(200).T.astype(np.float32)), 4096
     ray = mi.Ray3f(4 * toward, dr.normalize(mi.Vector3f(0.2, 0.1, -0.2) - 4 * toward))
@@ -203,7 +219,8 @@ def test_a_ray_mirrors_the_lamps_of_its_solid_angle():
     sky = read_environment(mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(pixels)}))
     light = prefiltered_model(band_limited_lighting(sky, 9), angular(), 16)
     scene = emitting("sphere")
-    surfaces, count = NearSurfaces(scene, ShownObject(light, golden(0.3), (1, 1)), None), 20000
+    shown, count = ShownObject(light, golden(0.3), (1, 1), glowing(0)), 20000
+    surfaces = NearSurfaces(scene, shown, None)
     toward = to_drjit(mi.Vector3f, fibonacci(count).T.astype(np.float32))
     # Rays to the centre meet the sphere at right angles, and return.
     narrow, broad = (
@@ -222,7 +239,8 @@ def test_mirror_rays_of_a_shown_object_meet_it():
     scene = emitting("sphere", flip_normals=True, radius=1.0)
     sky = read_environment(mi.load_dict({"type": "constant", "radiance": 7.0}))
     light = prefiltered_model(band_limited_lighting(sky, 9), angular(), 16)
-    surfaces, count = NearSurfaces(scene, ShownObject(light, golden(0.5), (1, 1)), None), 4096
+    shown, count = ShownObject(light, golden(0.5), (1, 1), glowing(RADIANCE)), 4096
+    surfaces = NearSurfaces(scene, shown, None)
     toward = to_drjit(mi.Vector3f, fibonacci(count).T.astype(np.float32))
     ray = mi.Ray3f(mi.Point3f(0, 0, 0.3), toward)
     hit, every = scene.ray_intersect(ray), mi.Bool(True)
@@ -275,8 +293,7 @@ def test_matte_parts_beside_others_are_as_bright_as_path_traced():
 def test_a_shown_object_mirrors_sky_and_table():
     """Diffuse radiance, and the light in the mirror direction times the albedo of its lobe."""
     below = mi.ScalarTransform4f().translate([0, -2, 0]).rotate([1, 0, 0], -90).scale(1000)
-    glow = {"type": "area", "radiance": 0.0}
-    scene = mi.load_dict({"type": "scene", "a": {"type": "sphere", "emitter": glow},
+    scene = mi.load_dict({"type": "scene", "a": {"type": "sphere"},
                           "b": {"type": "rectangle", "to_world": below}})  # fmt: skip
     sky, table = 7.0, np.array([0.5, 2.0, 3.0])
     light = band_limited_lighting(
@@ -285,7 +302,7 @@ def test_a_shown_object_mirrors_sky_and_table():
     around = Panorama(mi.Point3f(0), lat_long_texture(np.full((9, 16, 4), [*table, 1.0])))
     diffuse, roughness, metallic = np.array([0.1, 0.2, 0.3]), 0.6, 0.3
     values = mi.Float([*diffuse, roughness, *GOLD, metallic])
-    shown = ShownObject(prefiltered_model(light, angular(), 16), values, (1, 1))
+    shown = ShownObject(prefiltered_model(light, angular(), 16), values, (1, 1), glowing(0))
     start = 3 * fibonacci(60)
     toward = np.array([0.4, -0.3, 0.5]) - start
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
@@ -346,7 +363,7 @@ def test_a_table_in_the_scene_does_not_brighten_the_object(tables):
 
 def test_a_table_is_as_bright_as_path_traced(tables):
     """Towards all sides, and in the shadow of a black ball."""
-    scene, integrator = surroundings(tables[1], np.zeros((8, 8, 3)))
+    scene, integrator = surroundings(tables[1])
     surfaces = NearSurfaces(scene, None, trace_panorama(tables[1], scene, integrator))
     count, paths = 400, 1024
     x, y, z = fibonacci(count, lowest=0.2).T  # y is up
@@ -368,10 +385,29 @@ def test_a_table_is_as_bright_as_path_traced(tables):
 
 
 def test_paths_to_a_table_are_traced_once_for_all_channels(tables):
-    scene, integrator = surroundings(tables[1], np.zeros((8, 8, 3)))
+    scene, integrator = surroundings(tables[1])
     with launched_kernels() as kernels:
         trace_panorama(tables[1], scene, integrator)
     assert sum(kernel["size"] == 2 * (ROWS - 1) * ROWS for kernel in kernels) == 1
+
+
+def test_a_mirroring_object_lights_a_table_as_path_traced():
+    """Metal planes mirror a lamp onto the table, which no photograph from above shows."""
+    scene = load_scene(scenes.path("planes"), {"light": "studio", "resolution": "32"})
+    (planes,) = scene.shapes()
+    sensors = sphere_sensors(planes, 16, (64, 64))
+    images = [np.ones((64, 64, 3), np.float32)] * 16
+    capture = memory_capture(scene, images, sensors, shape=planes, mesh=planes)
+    capture = with_table(capture, (0.5, 0.5, 0.5))
+    capture = photographed(capture, repeat(capture.scene), 64)
+    observed = observe(capture, svu.texels(planes, 32))
+    found = near_surfaces(observed, preset("default", bounces=True)).others
+    black, path = surroundings(capture)
+    real, dark = (trace_panorama(capture, each, path) for each in (capture.scene, black))
+    found, real, dark = (np.array(x.texture.tensor())[..., :3] for x in (found, real, dark))
+    assert (real - dark).sum() > 0.03 * dark.sum()
+    assert (found - dark).sum() == pytest.approx((real - dark).sum(), rel=0.15)
+    assert np.corrcoef((found - dark).ravel(), (real - dark).ravel())[0, 1] > 0.85
 
 
 def test_an_object_of_radiance_1_lights_itself_where_it_hides_the_light():

@@ -36,7 +36,7 @@ def light_shares(
         shown: (N, 3) radiance of the points; NaN if not seen.
         rays: Rays per point.
     """
-    scene, integrator = surroundings(capture, None)
+    scene, integrator = surroundings(capture)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, len(points.position) * rays)
     lanes = dr.arange(mi.UInt32, len(points.position) * rays)
