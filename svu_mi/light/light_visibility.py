@@ -2,7 +2,7 @@
 
 All coarse cells are traced. A fine cell inherits the bit of its coarse cell, with two
 exceptions that are traced: its coarse cell is below the horizon, or the fine cell is bright and its
-group of coarse cells is partly hidden.
+group of coarse cells is partly hidden, or other shapes, which may be small, are around.
 """
 
 from collections.abc import Callable
@@ -93,7 +93,7 @@ def trace_light_visibility(
 
     ``place`` is the lane whose visibility each texel has (default: its own).
     """
-    lane, count = surface.lane, surface.count
+    lane, count, alone = surface.lane, surface.count, len(scene.shapes()) == 1
     fine = Bits.clear(tree.fine.number, count)
 
     def above(direction: Any) -> Any:
@@ -116,7 +116,7 @@ def trace_light_visibility(
 
         none = dr.zeros(mi.UInt32, count)
         free, high = fold(start, end, trace, none, none)
-        split = (free > 0) & (dr.popcnt(free) < end - start)
+        split = mi.Bool(not alone) | (free > 0) & (dr.popcnt(free) < end - start)
 
         def inherit(cell: Any, word: Any) -> tuple[Any, ...]:
             place = cell - start

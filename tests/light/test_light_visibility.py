@@ -227,11 +227,12 @@ def directly(scene, surface, cells, occluded=True):
     return free.numpy().reshape(-1, count)
 
 
-def inherited(cells, coarse, direct, high):
+def inherited(cells, coarse, direct, high, several):
     """(N_f, T) the rule in words, from bits of coarse cells, and of fine ones if all were traced.
 
     A fine cell is seen as its coarse cell is, where that one is above the horizon (``high``,
     (N_c, T)), and all of its group are the same or the fine cell is dim; else by a ray of its own.
+    If there are ``several`` shapes, it is for dim cells only.
     """
     first, groups = cells.first.numpy(), cells.groups.numpy()
     flux = cells.fine.flux.numpy().reshape(-1, 4)[:, 3]
@@ -239,7 +240,7 @@ def inherited(cells, coarse, direct, high):
     np.testing.assert_array_equal(cells.bright.numpy() > 0, bright)
     result = np.zeros_like(direct)
     for start, end in zip(groups[:-1], groups[1:], strict=True):
-        mixed = coarse[start:end].any(axis=0) & ~coarse[start:end].all(axis=0)
+        mixed = several | coarse[start:end].any(axis=0) & ~coarse[start:end].all(axis=0)
         for cell in range(start, end):
             for below in range(first[cell], first[cell + 1]):
                 own = (mixed & bright[below]) | ~high[cell]
@@ -247,16 +248,16 @@ def inherited(cells, coarse, direct, high):
     return result
 
 
-def surroundings():
-    """Points of all sorts between a wall, a plate and a box."""
+def surroundings(several=True):
+    """Points of all sorts between a wall, a plate and a box, or near the wall."""
     rng = np.random.default_rng(66120)
     turn = mi.ScalarTransform4f().translate([0.4, 0, 0]).rotate([0, 1, 0], -90).scale(0.7)
     plate = mi.ScalarTransform4f().translate([-0.5, 0.3, 0.6]).scale(0.3)
     box = mi.ScalarTransform4f().translate([-0.3, -0.8, -0.2]).scale(0.25)
-    scene = scene_of(
-        wall=rectangle(turn), plate=rectangle(plate),
-        box={"type": "cube", "to_world": box, "bsdf": {"type": "diffuse"}},
-    )  # fmt: skip
+    others = {"plate": rectangle(plate),
+              "box": {"type": "cube", "to_world": box, "bsdf": {"type": "diffuse"}}}  # fmt: skip
+    wall = {"type": "scene", "wall": rectangle(turn)}
+    scene = scene_of(**wall, **others) if several else mi.load_dict(wall)
     normals = unit_vectors(rng, 40)
     tilted = normals + 0.2 * unit_vectors(rng, 40)  # facets are not smooth
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
@@ -265,17 +266,20 @@ def surroundings():
     return scene, TexelLanes(surface.position, surface.normal, geometric, surface.offset)
 
 
+@pytest.mark.parametrize("several", [True, False])
 @pytest.mark.parametrize("occluded", [True, False])
 @pytest.mark.parametrize(("coarse", "fine"), [(128, 1024), (64, 512), (64, 256), (100, 100)])
-def test_bits_equal_those_of_single_rays(coarse, fine, occluded):
-    scene, surface = surroundings()
+def test_bits_equal_those_of_single_rays(coarse, fine, occluded, several):
+    """All bright cells are traced if there are several shapes."""
+    scene, surface = surroundings(several)
+    assert (len(scene.shapes()) > 1) == several
     cells = build_light_tree(environment(scenery, rotation(4)), coarse, fine)
     visibility = trace_light_visibility(scene, surface, cells, occluded=occluded)
     above = directly(scene, surface, cells.coarse, occluded)
     exact = directly(scene, surface, cells.fine, occluded)
     ours = bits_of(visibility.fine, fine, 40)
     high = directly(scene, surface, cells.coarse, False)
-    np.testing.assert_array_equal(ours, inherited(cells, above, exact, high))
+    np.testing.assert_array_equal(ours, inherited(cells, above, exact, high, several))
     # What is inherited is nearly always right, and nearly all of the light.
     flux = cells.fine.flux.numpy().reshape(-1, 4)[:, 3]
     assert 0.1 < exact.mean() < 0.6
