@@ -1,13 +1,14 @@
 """Light of lamps: area, point, spot and directional emitters, as cells seen from each texel.
 
-An area light is divided into cells of equal probability of Mitsuba's ``sample_direction``; other
-lamps are single cells. Each cell has a direction, a radius, and an irradiance on a surface that
-faces it; 0 where it is hidden.
+An area light is divided into cells of equal probability of Mitsuba's ``sample_direction``, of its
+shape if it is textured; other lamps are single cells. Each cell has a direction, a radius, and an
+irradiance on a surface that faces it; 0 where it is hidden.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import drjit as dr
@@ -88,7 +89,7 @@ def _grid(lamp: Any, center: list[float], most: float) -> list[int]:
     point.p, t = mi.Point3f(*center), (dr.arange(mi.Float, POINTS) + 0.5) / POINTS
     sides = []
     for line in ((t, 0.5 + 0 * t), (0.5 + 0 * t, t)):
-        found, _ = lamp.sample_direction(point, mi.Point2f(*line), mi.Bool(True))
+        found, _ = _of_cell(lamp, point, mi.Point2f(*line), mi.Vector2f(0))
         steps = np.diff(np.stack([x.numpy() for x in found.d]), axis=1)
         length = np.linalg.norm(steps, axis=0).sum() * POINTS / (POINTS - 1)
         sides.append(max(np.ceil(length / APART), FEWEST))
@@ -100,13 +101,13 @@ def _sampled(
     scene: Any, lamp: Any, surface: TexelLanes, grid: list[int], occluded: bool, cell: Any
 ) -> tuple[Any, Any, Any]:
     """Return direction, radius and irradiance (Color3f) of a cell of a lamp."""
-    along_u, along_v = (dr.opaque(mi.UInt32, side) for side in grid)
-    u = (mi.Float(cell % along_u) + 0.5) / mi.Float(along_u)
-    v = (mi.Float(cell // along_u) + 0.5) / mi.Float(along_v)
-    part = dr.rcp(mi.Float(along_u * along_v))
+    along_u = dr.opaque(mi.UInt32, grid[0])
+    step = dr.rcp(dr.opaque(mi.Vector2f, grid))
+    place = (mi.Point2f(cell % along_u, cell // along_u) + 0.5) * step
+    part = step.x * step.y
     point = dr.zeros(mi.SurfaceInteraction3f, surface.count)
     point.p = surface.position
-    found, light = lamp.sample_direction(point, mi.Point2f(u, v), mi.Bool(True))
+    found, light = _of_cell(lamp, point, place, step)
     direction = mi.Vector3f(found.d)
     free = dr.dot(surface.normal, direction) > 0
     free &= dr.dot(surface.geometric_normal, direction) > 0
@@ -116,3 +117,17 @@ def _sampled(
     solid = dr.select(found.delta, 0, part * dr.rcp(dr.maximum(found.pdf, 1e-12)))
     radius = dr.minimum(dr.sqrt(solid / np.pi), np.pi / 2)
     return direction, radius, dr.select(free, light * part, 0)
+
+
+def _of_cell(lamp: Any, point: Any, place: Any, step: Any) -> tuple[Any, Any]:
+    """Return a direction to the middle of a cell, and mean radiance over its density, Color3f."""
+    shape, textured = lamp.get_shape(), mi.has_flag(lamp.flags(), mi.EmitterFlags.SpatiallyVarying)
+    if not textured or shape.class_name() == "Sphere":  # UVs of its samples are unknown
+        return tuple(lamp.sample_direction(point, place, mi.Bool(True)))
+    total = mi.Color3f(0)
+    for x, y in product((-0.25, 0.25), repeat=2):
+        found = shape.sample_direction(point, place + mi.Vector2f(x, y) * step, mi.Bool(True))
+        lit = dr.zeros(mi.SurfaceInteraction3f, dr.width(found))
+        lit.uv, lit.wi = found.uv, mi.Vector3f(0, 0, -dr.dot(found.d, found.n))
+        total += dr.select(found.pdf > 0, lamp.eval(lit) / found.pdf, 0)
+    return shape.sample_direction(point, place, mi.Bool(True)), total / 4

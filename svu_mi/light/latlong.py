@@ -119,12 +119,8 @@ def _linear_weights(place: np.ndarray, count: int, wrap: bool) -> scipy.sparse.c
     """Return sparse linear weights (count, N) of N positions on ``count`` nodes."""
     first = np.floor(place).astype(int)
     part = place - first
-    second = first + 1
-    if wrap:
-        first, second = first % count, second % count
-    else:
-        second = np.minimum(second, count - 1)
+    both = [x % count if wrap else np.minimum(x, count - 1) for x in (first, first + 1)]
     points = np.arange(len(place))
-    nodes = (np.concatenate([first, second]), np.concatenate([points, points]))
+    nodes = (np.concatenate(both), np.concatenate([points, points]))
     shares = np.concatenate([1 - part, part])
     return scipy.sparse.csr_array((shares, nodes), shape=(count, len(place)))

@@ -198,15 +198,10 @@ def _cell_sums(environment: Environment, count: int) -> tuple[np.ndarray, np.nda
     nearest = _nearest(columns, rows, count)
     solid = latlong.quadrature(rows)[:, None] * (2 * np.pi / columns)
     local, light = latlong.directions(columns, rows), environment.radiance.sum(axis=2) * solid
-    # One channel at a time: a large map would need hundreds of megabytes.
-    flux = [_binned(nearest, environment.radiance[..., k] * solid, count) for k in range(3)]
-    pull = [_binned(nearest, local[..., k] * light, count) for k in range(3)]
-    disk = environment.disk_radiance * environment.disk_weights[:, None]
-    on_disk = nearest_cells(environment.disk_directions, count)
-    flux = np.stack(flux, axis=-1) + _sum(on_disk, disk, count)
-    pull = np.stack(pull, axis=-1) + _sum(
-        on_disk, environment.disk_directions * disk.sum(axis=1, keepdims=True), count
-    )
+    sun, disk = environment.disk_directions, environment.disk_radiance
+    disk, on_disk = disk * environment.disk_weights[:, None], nearest_cells(sun, count)
+    flux = _sum(nearest, environment.radiance, count, solid) + _sum(on_disk, disk, count)
+    pull = _sum(nearest, local, count, light) + _sum(on_disk, sun, count, disk.sum(axis=1))
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # A black cell has no centroid; use its centre.
     least = 1e-12 * (length.max() or 1.0)
@@ -273,11 +268,8 @@ def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(scipy.spatial.cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
 
 
-def _sum(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sum the columns of (N, K) values by cell: (count, K)."""
-    return np.stack([_binned(cell, column, count) for column in values.T], axis=-1)
-
-
-def _binned(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sum values by cell, (count,); ``cell`` is flat, values may have any shape."""
-    return np.bincount(cell, weights=values.ravel(), minlength=count)
+def _sum(cell: np.ndarray, values: np.ndarray, count: int, weight: Any = 1) -> np.ndarray:
+    """Sum weighted values (..., K) by cell, (count, K); ``cell`` is flat."""
+    # One column at a time: a large map would need hundreds of megabytes.
+    columns = (values[..., k] * weight for k in range(values.shape[-1]))
+    return np.stack([np.bincount(cell, x.ravel(), count) for x in columns], axis=-1)

@@ -180,8 +180,7 @@ class LightStack:
         fx, fy = x - left, y - top
         width = columns + 2
         node = first + top * width + left
-        corners = [self._node(node + step) for step in (0, 1, width, width + 1)]
-        a, b, c, d = corners
+        a, b, c, d = (self._node(node + step) for step in (0, 1, width, width + 1))
         return [
             dr.lerp(dr.lerp(a[k], b[k], fx), dr.lerp(c[k], d[k], fx), fy)
             for k in range(self.channels)
@@ -190,8 +189,7 @@ class LightStack:
     def _node(self, index: Any) -> list[Any]:
         if self.channels == 1:
             return [dr.gather(mi.Float, self.values, index)]
-        value = dr.gather(mi.Vector4f, self.values, index)
-        return [value.x, value.y, value.z]
+        return list(dr.gather(mi.Vector4f, self.values, index))[:3]
 
 
 def stack_levels(light: FilteredLight) -> LightStack:
@@ -201,9 +199,8 @@ def stack_levels(light: FilteredLight) -> LightStack:
     tables, flat, first = [], [], 0
     for grid in maps:
         rows, columns = grid.shape[:2]
-        around = np.concatenate([grid[:, -1:], grid, grid[:, :1]], axis=1)
-        padded = np.zeros((rows, columns + 2, PADDED[channels]), np.float32)
-        padded[..., :channels] = around
+        around = np.pad(grid, ((0, 0), (1, 1), (0, 0)), "wrap")
+        padded = np.pad(around, ((0, 0), (0, 0), (0, PADDED[channels] - channels)))
         tables += [first, rows, columns]
         flat.append(padded.ravel())
         first += rows * (columns + 2)

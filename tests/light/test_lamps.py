@@ -13,6 +13,7 @@ import svu_mi as svu
 from svu_mi.capture import scene_xml
 from svu_mi.capture.scene import find_environment, find_light, lamps_of, load_scene
 from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import SceneError
 from svu_mi.light.lamps import trace_lamps
 from svu_mi.presets import preset
@@ -161,6 +162,34 @@ def test_cells_are_as_wide_as_long(size, cells):
     # Of n points at (2 k + 1) / n - 1.
     expected = np.array(size) * np.sqrt((1 - np.array(cells) ** -2.0) / 3)
     np.testing.assert_allclose(deviation, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("kind", "corner"), [("rectangle", 40.0), ("disk", 0.1)])
+def test_textures_of_lamps_give_their_moments(kind, corner):
+    """Of a bright corner, a slope, and dark parts, as rays find them; cells are compact."""
+    pixels = np.full((8, 8, 3), 0.1, np.float32)
+    pixels[..., 1], pixels[5:, :3] = np.linspace(0, 3, 8), corner
+    image = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(pixels), "filter_type": "nearest"}
+    scene = scene_of(lamp={
+        "type": kind, "to_world": place().translate([0.3, 0, 2]).rotate([1, 0, 0], 180),
+        "emitter": {"type": "area", "radiance": image},
+    })  # fmt: skip
+    lamps = traced(scene, [[0, 0, 1]])
+    x, y = (np.arange(2000)[:, None] + 0.5) / 1000 - 1, np.arange(-1000, 1000)[None] / 1000
+    toward = np.stack([*np.broadcast_arrays(x + 0.3, y), np.ones((2000, 2000))], -1).reshape(-1, 3)
+    solid = 1e-6 / np.linalg.norm(toward, axis=1) ** 3
+    toward = unit(toward)
+    ray = mi.Ray3f(mi.Point3f(0), to_drjit(mi.Vector3f, toward.T.astype(np.float32)))
+    hit = scene.ray_intersect(ray)
+    light = lamps_of(scene)[0].eval(hit, hit.is_valid()).numpy().astype(np.float64)
+    flux = np.where(hit.is_valid().numpy(), light, 0) * toward[:, 2] * solid
+    for channel, moments in zip(flux, lamps.moments, strict=True):
+        real = np.append(channel.sum(), channel @ toward)
+        found = [m.numpy()[0] for m in moments[:4]]
+        np.testing.assert_allclose(found, real, atol=0.03 * real[0])
+    cells = range(number_of(lamps))
+    radii = np.array([lamps.cells.at(index_of(lamps, k, 0))[1].numpy() for k in cells])
+    assert radii.max() < 2 * radii.min()
 
 
 def test_subsets_see_the_same_lamps():
