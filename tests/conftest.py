@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import pickle
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import pytest
-from support import quick_kernels
+from support import quick_kernels, repeated_work
 from support.browser import Browser
 
 import svu_mi  # noqa: F401
@@ -18,13 +17,13 @@ import svu_mi  # noqa: F401
 ROOT = Path(__file__).parent.parent
 VARIANT = os.environ.get("SVU_TEST_VARIANT", "llvm_ad_rgb")  # cuda_ad_rgb: all of it on a GPU
 LONGEST = "tests/test_docs", "tests/test_notebooks", "tests/test_pipeline"
-MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
 # Read when NumPy is first imported, which for the workers of -n is later than this: its threads
 # spin while they wait, on cores that the other worker needs.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 quick_kernels.use()
+sys.dont_write_bytecode = False  # to rewrite the assertions of all tests takes 8 s
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m is looked at
@@ -57,36 +56,7 @@ def _variant_is_set() -> None:
     from svu_mi.capture.scene import require_variant
 
     require_variant()  # as every function for users: exact division on CUDA
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _light_is_filtered_once() -> None:
-    """The same light comes again in many tests; to filter it takes NumPy 0.3 s, to split it 0.04 s.
-
-    So do options of commands, which tyro reads again for each: 0.02 s. What is kept is what these
-    functions have returned for exactly these arguments.
-    """
-    from tyro._docstrings import _ClassTokenization
-
-    from svu_mi.light import light_tree, prefiltered
-
-    def once(module: ModuleType | type, name: str) -> None:
-        compute, kept = getattr(module, name), {}
-
-        def remembered(*arguments: object) -> object:
-            key = hashlib.blake2b(pickle.dumps(arguments)).digest()
-            result = kept.get(key)  # several threads do this
-            if result is None:
-                if len(kept) >= MAPS:
-                    kept.clear()
-                result = kept[key] = compute(*arguments)
-            return result
-
-        setattr(module, name, remembered)
-
-    once(prefiltered, "convolve")
-    once(light_tree, "_split")
-    once(_ClassTokenization, "make")
+    repeated_work.remember()
 
 
 @pytest.fixture

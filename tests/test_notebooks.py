@@ -20,8 +20,9 @@ SECONDS = 300  # for one cell; the whole takes some 15 s, most of it compiling k
 SHORT = f"""
 import sys
 sys.path.append({str(FOLDER.parent / "tests")!r})
-from support import quick_kernels
+from support import quick_kernels, repeated_work
 quick_kernels.use()
+repeated_work.remember()
 from dataclasses import replace
 from svu_mi.recovery.recovery_options import SH_PRESETS
 for name, options in SH_PRESETS.items():

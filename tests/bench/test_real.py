@@ -105,7 +105,7 @@ def test_photographs_of_a_phone_are_predicted(measured):
 
 @pytest.mark.slow
 def test_check_reports_estimated_gains(imported, tmp_path, capsys, monkeypatch):
-    few = svu.LightOptions(texels=400, depths=((256, 8),), draws=2)
+    few = svu.LightOptions(texels=400, depths=((256, 8),), draws=2, moves=False)
     monkeypatch.setattr(resolve_light, "OPTIONS", few)
     words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
     assert run(*words, "--strict") == 3

@@ -52,6 +52,7 @@ def require_equal(one, other):
     assert abs(difference.mean()) < 0.01 * mean
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("psi", [BRASS, CLAY, VARNISH])
 def test_direct_light_is_that_of_a_uniform_object(knot, psi):
     """Without bounces, the other texels only hide the light."""
@@ -62,6 +63,7 @@ def test_direct_light_is_that_of_a_uniform_object(knot, psi):
     require_equal(found, trace(target.scene, direct, rays, PATHS, 7))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("psi", [BRASS, CLAY])
 def test_the_true_material_looks_as_path_traced(knot, psi):
     """The whole object has one material, which is asked for."""
@@ -77,6 +79,7 @@ def test_the_true_material_looks_as_path_traced(knot, psi):
     assert expected[0].mean() > 1.05 * trace(capture.scene, direct, rays, 256, 7)[0].mean()
 
 
+@pytest.mark.slow
 def test_posteriors_of_direct_light_agree(knot):
     observed = observe(knot, svu.texels(knot.mesh, 16))
     texels = np.flatnonzero(observed.coverage)[::4]

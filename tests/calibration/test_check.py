@@ -749,6 +749,7 @@ def test_inverted_masks_are_named(capture):
     assert poses.verdict == "wrong" and poses.sentence.startswith("The masks show the background")
 
 
+@pytest.mark.slow
 def test_recorded_exposures_that_do_not_fit_are_unclear(capture):
     log = np.tile(np.linspace(-0.4, 0.4, capture.count)[:, None], (1, 3))
     gains = FoundGains(log, np.ones(capture.count), np.zeros(capture.count, bool))

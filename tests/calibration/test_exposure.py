@@ -278,7 +278,8 @@ def test_they_exclude_looks_at_the_background():
 
 @pytest.mark.slow
 def test_light_with_gains_has_its_own_cache(vase, tmp_path, monkeypatch):
-    monkeypatch.setattr(resolve_light, "OPTIONS", replace(OPTIONS, depths=((64, 8),), draws=2))
+    few = svu.LightOptions(texels=300, depths=((64, 8),), draws=2, moves=False)
+    monkeypatch.setattr(resolve_light, "OPTIONS", few)
     monkeypatch.setattr(resolve_light, "RESOLUTION", 48)
     dark = write_dark(vase, tmp_path / "dark")
     capture = multiplied(svu.load_capture(dark, light="optional"), random_gains(24))

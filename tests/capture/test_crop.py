@@ -134,6 +134,7 @@ def test_a_pixel_is_the_mean_of_its_block(kind, request, large):
             assert not flags.any() if saturation is None else (saturation.flags == flags).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["shot", "integers"])
 def test_mapped_photographs_give_equal_bits(kind, request, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))

@@ -86,6 +86,7 @@ def record(folder: Path, name: str = "run.json") -> dict:
     return json.loads((folder / name).read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("always::svu_mi.errors.SvuWarning")
 def test_recovering_with_a_wrong_light_warns(around, tmp_path, capsys):
     words = ("--resolution", 24, "--steps", 2, "--no-pictures", "-o", tmp_path)

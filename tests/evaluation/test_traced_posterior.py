@@ -274,9 +274,10 @@ def test_estimated_noise_gives_the_posterior_of_the_estimator(tmp_path):
     Pixels and texels are small: paths lead to centres of texels, while the estimator averages
     narrow lobes over the normals of a pixel.
     """
-    capture = render_ball(tmp_path, sky(), paint(), views=24, resolution=(192, 192), spp=64)
-    layout = texels(capture.mesh, 96)
-    half = replace(capture, used=tuple(k < 12 for k in range(24)))
+    scene = ball_scene(tmp_path, sky(), paint())
+    sensors = sphere_sensors(scene.shapes()[0], 24, (192, 192))[:12]
+    half = memory_capture(scene, render_views(scene, sensors, 64), sensors)
+    layout = texels(half.mesh, 96)
     ours, fixed = (estimate(half, layout, preset=name) for name in ("default", "fixed"))
     reference = reference_posterior(ours, None, 80, 256, noise="estimated", seed=SEED)
     H, other = (np.array(x.entropy)[reference.subset] for x in (ours, fixed))

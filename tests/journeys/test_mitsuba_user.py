@@ -10,7 +10,7 @@ from support.journey import done, stopped
 
 @pytest.mark.slow
 def test_stopped_render_continues(desk):
-    around = "-D light=window -D resolution=224 --views 8"
+    around = "-D light=window -D resolution=160 --views 8"
     line = f"render scenes/vase/vase.xml {around} --spp 24 -o long"
     said = stopped(line, desk, ".long.svu-draft/view_0001.exr")
     assert said.status == 130

@@ -352,6 +352,7 @@ def base_color_below(capture):
     return np.array(estimate.posterior.mean("base_color"))[below].mean(axis=0)
 
 
+@pytest.mark.slow
 def test_a_table_in_the_scene_does_not_brighten_the_object(tables):
     """It does if the scene does not contain it."""
     black, bright = tables

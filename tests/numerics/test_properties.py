@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -74,6 +75,7 @@ def test_entropy_is_in_0_1_for_any_samples(rule, values, scale):
     assert np.isfinite(probability).all()
 
 
+@pytest.mark.slow
 @few(25)
 @given(arrays(np.float64, (5, 2, 3), elements=radiances(BRIGHTEST)),
        st.sampled_from([1e-6, 0.7, 1e6]))  # fmt: skip

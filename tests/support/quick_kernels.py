@@ -1,6 +1,7 @@
 """Kernels that LLVM hardly optimises: compiled in a third of the time, a third slower when run.
 
-python -m support.quick_kernels MODULE [WORDS ...]  # as python -m MODULE, with such kernels
+python -m support.quick_kernels MODULE [WORDS ...]  # as python -m MODULE, with such kernels and
+                                                    # without repeated work
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import runpy
 import sys
 from pathlib import Path
 
-from support import idle_threads
+from support import idle_threads, repeated_work
 from svu_mi import _llvm  # comes before Dr.Jit
 
 OPTIONS = (  # of LLVM's code generator; a version that lacks one of them ignores all
@@ -43,5 +44,6 @@ def use() -> None:
 
 if __name__ == "__main__":
     use()
+    repeated_work.remember()
     del sys.argv[0]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

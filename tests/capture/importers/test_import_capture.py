@@ -186,6 +186,7 @@ def test_a_table_stands_under_the_object(original, tmp_path):
     np.testing.assert_allclose(reflectance, 0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
 def test_overlapping_uvs_are_named_at_import_and_by_the_check(original, tmp_path):
     """Both halves of the texture share one half, as of mirrored models."""
