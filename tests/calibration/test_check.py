@@ -71,11 +71,20 @@ SEED = 40913
 
 
 @pytest.fixture(autouse=True)
-def few_points(monkeypatch):
-    """A quarter of the points is sufficient for small photographs."""
-    monkeypatch.setattr(
-        "svu_mi.calibration.checks.check.scatter_points", partial(scatter_points, count=POINTS)
-    )
+def quick_check(monkeypatch):
+    """Use a quarter of the points, sufficient for small photographs, and gains of 1.
+
+    ``test_exposure_checks.py`` tests estimated gains, which take most of the time of a check.
+    """
+
+    def equal(small, *_):
+        count = sum(small.used)
+        odd, sd = np.zeros(count, bool), np.full(count, 0.05)
+        return FoundGains(np.zeros((count, 3)), np.ones(count), odd, sd)
+
+    check = "svu_mi.calibration.checks.check"
+    monkeypatch.setattr(f"{check}.scatter_points", partial(scatter_points, count=POINTS))
+    monkeypatch.setattr(f"{check}.estimate_gains", equal)
 
 
 def quiet(done, total):
