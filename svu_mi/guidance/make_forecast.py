@@ -1,6 +1,7 @@
 """Construction of forecasts from an estimate, with hypotheses drawn from its posterior."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
@@ -77,7 +78,7 @@ def _angular_forecast(
     lobes = 1 if observed.grey_light(switches) else channels
     model = observed.model(grid.roughness_nodes, switches, lobes, texels)
     if model.flash is not None:
-        model = model.with_flash(observed.flash_of(sensors))
+        model = replace(model, flash=observed.flash_of(sensors))
     responses = collect(
         model.surface, angular_forecast.respond(observed.views.scene, model),
         angular_forecast.columns(grid.shape[0], lobes),

@@ -12,6 +12,7 @@ from svu_mi.capture.capture import Flash
 from svu_mi.capture.scene import to_world
 from svu_mi.core.arrays import to_drjit
 from svu_mi.geometry.sample_view import TexelLanes, ViewSample
+from svu_mi.light.band_limited import diffuse_moments
 from svu_mi.light.lamps import END
 from svu_mi.light.light_visibility import SampleBits, is_unoccluded
 
@@ -31,6 +32,22 @@ class FlashCell:
     def light(self, _: Any, channels: int) -> list[Any]:
         """Return the irradiance R, G and B, or their mean if ``channels`` is 1."""
         return self.irradiance if channels == 3 else [sum(self.irradiance) / 3]
+
+    def moments(self, normal: Any, channels: int) -> list[list[Any]]:
+        """Return the diffuse moments (``LightVisibility.diffuse``): 8 Floats per channel."""
+        cosine = dr.maximum(dr.dot(normal, self.direction), 0)
+        return [diffuse_moments(x, cosine, self.direction) for x in self.light(0, channels)]
+
+    def retroreflection(self, normal: Any, channels: int, view: Any, cosine: Any) -> list[Any]:
+        """Return the term R^2 F_o F_i / pi, without roughness^2, that ``diffuse_shading`` lacks.
+
+        It matters near the camera only, where the lamp is. ``view`` is the direction to the camera,
+        ``cosine`` that of its angle to the normal.
+        """
+        incident = dr.maximum(dr.dot(normal, self.direction), 0)
+        towards = dr.square(1 + dr.dot(view, self.direction))
+        both = incident * ((1 - incident) * (1 - cosine)) ** 5 * towards / np.pi
+        return [value * both for value in self.light(0, channels)]
 
 
 @dataclass(frozen=True)

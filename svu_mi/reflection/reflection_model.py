@@ -4,7 +4,7 @@ Radiance is a mixture of four parts e, p, q and d (``principled.py``). Narrow lo
 light, wide lobes sum light cells. ``fast`` has no wide lobes; ``paper`` uses spherical harmonics.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import drjit as dr
@@ -20,13 +20,12 @@ from svu_mi.light.light_visibility import LightVisibility
 from svu_mi.light.near_light import NearLight
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.albedo_table import AlbedoTable
-from svu_mi.reflection.lamp_lobes import FlashLobes, LampLobes
 from svu_mi.reflection.lobes import Normals
 from svu_mi.reflection.mix_columns import Parts, diffuse_shading
 from svu_mi.reflection.narrow_lobes import NarrowLobes
 from svu_mi.reflection.near_lobes import NearLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.wide_lobes import NARROW, Lobe, WideLobes, added, added_lobes
+from svu_mi.reflection.wide_lobes import NARROW, Lobe, LobeSums, WideLobes, added, added_lobes
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,8 @@ class ReflectionModel:
         narrow: narrow lobes, of the first levels; or None.
         wide: wide lobes, of the remaining levels; or None.
         fitted: lobes of all levels if light is fitted per texel; or None.
-        near, lamps, flash: lobes of all levels for light from other surfaces and of lamps; or None.
+        near: lobes of all levels for light from other surfaces; or None.
+        lamps, flash: lamps, which all levels add; or None.
         moments: moments of diffuse light (``LightVisibility.diffuse``), 8 (S,) Floats per channel.
     """
 
@@ -72,8 +72,8 @@ class ReflectionModel:
     fitted: FittedLobes | None
     moments: list[list[Any]]
     near: NearLobes | None = None
-    lamps: LampLobes | None = None
-    flash: FlashLobes | None = None
+    lamps: Lamps | None = None
+    flash: FlashLight | None = None
 
     @staticmethod
     def of(
@@ -99,21 +99,15 @@ class ReflectionModel:
         near = None
         if light.near is not None:
             near = NearLobes(light.near, channels, alpha, AlbedoTable.of(alpha, switches.fresnel))
-        lamps = None if light.lamps is None else LampLobes(light.lamps, channels, alpha)
-        flash = None if light.flash is None else FlashLobes(light.flash, channels, alpha)
         for others in (light.near, light.lamps):
             if others is not None:
                 grey = [[sum(x) / 3 for x in zip(*others.moments, strict=True)]]
                 moments = added(moments, others.moments if channels == 3 else grey)
         dr.eval(moments)
         return ReflectionModel(
-            roughness, surface, switches, narrow, wide, fitted, moments, near, lamps, flash
-        )
-
-    def with_flash(self, light: FlashLight) -> "ReflectionModel":
-        """Return the model with the flash of other views."""
-        assert self.flash is not None
-        return replace(self, flash=replace(self.flash, light=light))
+            roughness, surface, switches, narrow, wide, fitted, moments, near, light.lamps,
+            light.flash,
+        )  # fmt: skip
 
     @property
     def channels(self) -> int:
@@ -149,18 +143,23 @@ class ReflectionModel:
             lobes += self.wide.reflect(self.surface.lane, normals, direction, cosine)
         if self.near is not None:
             lobes = added_lobes(lobes, self.near.reflect(self.surface, direction, cosine))
+        every = mi.Bool(True)
+        sums = LobeSums(alpha_from_roughness(self.roughness), self.channels, normals, direction)
         if self.lamps is not None:
-            lit = self.lamps.reflect(self.surface.lane, normals, direction, cosine)
+            first = dr.gather(mi.UInt32, self.lamps.place, self.surface.lane)
+            cells = self.lamps.cells
+            lit = sums.of_cells(cells, cells.count, every, cosine, first, self.lamps.lanes)
             lobes = added_lobes(lobes, lit)
         retro = [mi.Float(0)] * self.channels
         if self.flash is not None:
             if slot is None:
                 raise OptionError("Views that are not photographs have no flash; use other light.")
-            cell = self.flash.light.seen_from(self.surface, slot)
-            lobes = added_lobes(lobes, self.flash.reflect(normals, cell, direction, cosine))
-            shown = added(shown, self.flash.moments(self.surface, cell))
+            cell, normal = self.flash.seen_from(self.surface, slot), self.surface.normal
+            lit = sums.of_cells(cell, dr.opaque(mi.UInt32, 1), every, cosine)
+            lobes = added_lobes(lobes, lit)
+            shown = added(shown, cell.moments(normal, self.channels))
             if self.switches.diffuse == "disney":
-                retro = self.flash.retroreflection(self.surface, cell, direction, cosine)
+                retro = cell.retroreflection(normal, self.channels, direction, cosine)
         shading = [
             diffuse_shading(self.switches.diffuse, moments, direction, cosine) for moments in shown
         ]

@@ -17,8 +17,8 @@ from svu_mi.core.arrays import to_drjit
 from svu_mi.errors import SceneError
 from svu_mi.light.lamps import trace_lamps
 from svu_mi.presets import preset
-from svu_mi.reflection.lamp_lobes import LampLobes
 from svu_mi.reflection.lobes import Normals
+from svu_mi.reflection.wide_lobes import LobeSums
 
 POINT = {"type": "point", "position": [0, 0.6, 0.8],
          "intensity": {"type": "rgb", "value": [1, 2, 4]}}  # fmt: skip
@@ -115,10 +115,12 @@ def reflected(alpha, radius, view, normal):
 
 def lobe_of(alpha, radius, view, normal):
     """The light of the disk that the model reflects."""
-    lobes = LampLobes(traced(scene_of(lamp=disk(radius)), normal), 3, np.array([alpha, 0.9]))
+    lamps = traced(scene_of(lamp=disk(radius)), normal)
     surface, direction = texel_facing(normal), mi.Vector3f(*map(float, view))
     normals, cosine = Normals.of(surface.normal), dr.dot(surface.normal, direction)
-    p, q, _ = lobes.reflect(surface.lane, normals, direction, cosine)[0][0]
+    sums, count = LobeSums(np.array([alpha, 0.9]), 3, normals, direction), lamps.cells.count
+    lobes = sums.of_cells(lamps.cells, count, mi.Bool(True), cosine, lamps.place, lamps.lanes)
+    p, q, _ = lobes[0][0]
     return (p + q).numpy()[0]
 
 
