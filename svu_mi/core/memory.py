@@ -75,7 +75,7 @@ COSTS = {
 # Bytes per texel, by preset, and for power spectra, which have no preset.
 MODELS = {
     "default": 2900,
-    "bounces": 3500,
+    "bounces": 4300,
     "fixed": 1300,
     "fast": 1100,
     "paper": 2000,

@@ -42,7 +42,7 @@ class FlashCell:
         """Return the term R^2 F_o F_i / pi, without roughness^2, that ``diffuse_shading`` lacks.
 
         It matters near the camera only, where the lamp is. ``view`` is the direction to the camera,
-        ``cosine`` that of its angle to the normal.
+        at an angle of ``cosine`` to the normal.
         """
         incident = dr.maximum(dr.dot(normal, self.direction), 0)
         towards = dr.square(1 + dr.dot(view, self.direction))

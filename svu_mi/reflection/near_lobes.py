@@ -1,4 +1,8 @@
-"""Lobes of light from other surfaces (``light/near_light.py``), which rays of all lobes sample."""
+"""Lobes of light from other surfaces (``light/near_light.py``), sampled by rays.
+
+Wide lobes need many rays, but a texel has the same incident light in all views. So rays are traced
+from each texel, and more of them for the narrow lobes of each sample; all lobes read both.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +19,7 @@ from svu_mi.reflection.lobes import ggx, smith_g1
 from svu_mi.reflection.wide_lobes import Lobe
 
 FAINT = 0.02  # minimum sum of weights
-RAYS, WIDTHS = 40, (0.02, 0.05, 0.1, 0.2, 0.5)  # number of rays of each sample, and their alpha
+RAYS, WIDTHS = 36, (0.02, 0.05, 0.1, 0.2)  # number of rays of each sample, and their alpha
 FIRST = 10  # rays after which samples stop that met no light
 NARROWEST = 0.01  # smallest alpha of lobes that they sample
 GRAZING = 0.01  # smallest cosine of their viewing angle
@@ -44,8 +48,9 @@ class NearLobes:
     def _sample(self, surface: TexelLanes, direction: Any) -> list[list[Any]]:
         """Return R, G and B of other surfaces in each lobe.
 
-        Rays follow visible GGX normals of all widths in turn. Each lobe weights all rays by the
-        ratio of its density to their mean one (balance heuristic [Veach and Guibas 1995]).
+        Rays of a sample follow visible GGX normals of all widths in turn, rays of a texel are
+        uniform. Each lobe weights all rays by the ratio of its density to their density (balance
+        heuristic [Veach and Guibas 1995]).
         """
         frame = mi.Frame3f(surface.normal)
         widths, lobe = np.unique(np.maximum(self.alpha, NARROWEST), return_inverse=True)
@@ -53,12 +58,23 @@ class NearLobes:
         origin = surface.position + surface.offset * surface.geometric_normal
         local = mi.Vector3f(frame.to_local(direction))
         local.z = dr.maximum(local.z, GRAZING)
-        lobes = [(width, smith_g1(local.z, width)) for width in widths.tolist()]
-        sampled = [(width, smith_g1(local.z, width)) for width in WIDTHS]
+        lobes, sampled = ([(width, smith_g1(local.z, width)) for width in some]
+                          for some in (widths.tolist(), WIDTHS))  # fmt: skip
+        unit = 4 * local.z * (len(WIDTHS) / RAYS)  # of solid angles, for densities of normals
+        uniform = unit * mi.Float(self.near.rays) / (2 * dr.pi)
         bits = (dr.reinterpret_array(mi.UInt32, x) for x in (direction.x, direction.y))
         turns = [mi.Float(number) * 2**-32 for number in mi.sample_tea_32(*bits)]
 
-        def add(ray: Any, *sums: Any) -> tuple[Any, ...]:
+        def of_ray(up: Any) -> Any:
+            return dr.rcp(sum(ggx(up, a) * masking for a, masking in sampled) + uniform)
+
+        def added(sums: tuple[Any, ...], toward: Any, up: Any, part: Any, color: Any) -> list[Any]:
+            incident = dr.maximum(toward.z, GRAZING)
+            weights = [ggx(up, a) * g * smith_g1(incident, a) * part for a, g in lobes]
+            more = [weight * value for weight in weights for value in (1, *color)]
+            return [old + new for old, new in zip(sums, more, strict=True)]
+
+        def cast(ray: Any, *sums: Any) -> tuple[Any, ...]:
             point = [turn + mi.Float(ray) * step for turn, step in zip(turns, LATTICE, strict=True)]
             point = [dr.clip(x - dr.floor(x), INSIDE, 1 - INSIDE) for x in point]
             width = dr.gather(mi.Float, table, ray % len(WIDTHS))
@@ -67,17 +83,21 @@ class NearLobes:
             toward = mi.reflect(local, normal)
             world = frame.to_world(toward)
             up = (toward.z > 0) & (dr.dot(surface.geometric_normal, world) > 0)
-            incident = dr.maximum(toward.z, GRAZING)
-            density = sum(ggx(normal.z, a) * masking for a, masking in sampled)
-            scale = dr.select(toward.z > 0, dr.rcp(density), 0)
-            size = scale * local.z * (4 * len(WIDTHS) / RAYS)  # solid angle of a ray
-            color = self.near.surfaces.radiance_along(origin, world, up, size)
-            weights = [ggx(normal.z, a) * g * smith_g1(incident, a) * scale for a, g in lobes]
-            added = [weight * value for weight in weights for value in (1, *color)]
-            sums = tuple(old + new for old, new in zip(sums, added, strict=True))
-            return dr.select((ray + 1 == FIRST) & (sum(sums[-3:]) == 0), RAYS, ray + 1), *sums
+            part = dr.select(toward.z > 0, of_ray(normal.z), 0)
+            color = self.near.surfaces.radiance_along(origin, world, up, part * unit)
+            total = added(sums, toward, normal.z, part, color)
+            dark = (ray + 1 == FIRST) & (sum(total[-3:]) == 0)  # as are the others, very likely
+            following, factor = dr.select(dark, RAYS, ray + 1), dr.select(dark, RAYS / FIRST, 1)
+            return following, *(factor * x for x in total)
 
-        rays = dr.select(sum(x[0] for x in self.near.moments) > 0, dr.opaque(mi.UInt32, RAYS), 0)
-        sums = fold(0, rays, add, *[dr.zeros(mi.Float, surface.count)] * (4 * len(widths)))
+        def read(ray: Any, *sums: Any) -> tuple[Any, ...]:
+            toward, color = self.near.ray(ray)
+            up = dr.normalize(toward + local).z
+            return ray + 1, *added(sums, toward, up, of_ray(up), color)
+
+        lit = sum(x[0] for x in self.near.moments) > 0
+        sums = (dr.zeros(mi.Float, surface.count),) * (4 * len(widths))
+        for rays, body in ((dr.opaque(mi.UInt32, RAYS), cast), (self.near.rays, read)):
+            sums = fold(0, dr.select(lit, rays, 0), body, *sums)
         return [[x / dr.maximum(sums[4 * k], FAINT) for x in sums[4 * k + 1 : 4 * k + 4]]
                 for k in lobe.tolist()]  # fmt: skip

@@ -141,6 +141,26 @@ def test_rays_of_each_lobe_meet_a_disk(monkeypatch):
         np.testing.assert_allclose(values, share * RADIANCE * albedo.mean(), rtol=0.03)
 
 
+@pytest.mark.parametrize("width", [0.3, 0.6, 1.0])
+def test_wide_lobes_share_the_rays_of_a_texel(width):
+    """Their noise is less than that of as many independent rays, and they are right on average."""
+    normals, rays = np.tile([0.0, 0.0, 1.0], (4096, 1)), 64
+    near = traced(disk_above([0, 0, 1]), normals, rays)
+    lobes = NearLobes(near, 3, np.array([width]), AlbedoTable.of(np.array([width]), "split_sum"))
+    surface, turns = texel_facing(normals), dr.arange(mi.Float, 4096)
+    up = dr.normalize(mi.Vector3f(1e-3 * dr.cos(turns), 1e-3 * dr.sin(turns), 1))
+    half = (np.arange(20000) + 0.5) / 20000 * np.pi / 4
+    ggx = 1 / (np.cos(half) ** 2 + (np.sin(half) / width) ** 2) ** 2
+    smith = 2 / (1 + np.sqrt(1 + (width * np.tan(2 * half)) ** 2))
+    weights = ggx * smith * np.cos(half) * np.sin(half)
+    share = weights[half < ANGLE / 2].sum() / weights.sum()
+    cosine = dr.dot(surface.normal, up)
+    albedo = lobes.albedo.at(0, width, cosine)[0].numpy()
+    seen = lobes.reflect(surface, up, cosine)[0][0][0].numpy() / albedo / RADIANCE[0]
+    assert seen.mean() == pytest.approx(share, rel=0.01)
+    assert seen.std() < (share * (1 - share) / rays) ** 0.5
+
+
 def test_an_object_photographed_from_above_looks_from_below_as_it_does(tmp_path):
     """Its unseen half reflects the light, which comes from above only."""
     sky = np.zeros((32, 64, 3), np.float32)
