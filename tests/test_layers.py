@@ -28,11 +28,16 @@ OPTIONAL = {
 }  # fmt: skip
 
 
-def imports(path: Path, package: Path, *, nested: bool = True) -> Iterator[str]:
-    """Yield the modules that a file imports, not for the type checker alone; ``.`` if relative.
+@cache
+def imports(path: Path, package: Path, *, nested: bool = True) -> tuple[str, ...]:
+    """Return the modules that a file imports, not for the type checker alone; ``.`` if relative.
 
     ``from svu_mi.a import b`` is ``svu_mi.a.b`` where that is a module, else ``svu_mi.a``.
     """
+    return tuple(_imports(path, package, nested))
+
+
+def _imports(path: Path, package: Path, nested: bool) -> Iterator[str]:
     for node in _nodes(ast.parse(path.read_text()), nested):
         if isinstance(node, ast.ImportFrom) and node.level:
             yield "."
@@ -51,12 +56,13 @@ def imports(path: Path, package: Path, *, nested: bool = True) -> Iterator[str]:
 
 
 def _nodes(node: ast.AST, nested: bool = True) -> Iterator[ast.AST]:
-    """Walk a tree, except for what only the type checker sees, and functions if not ``nested``."""
+    """Walk all but expressions, code for type checkers, and functions if not ``nested``."""
     yield node
     typing_only = isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
     for child in ast.iter_child_nodes(node):
         inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef) and not nested
-        if not inside and not (typing_only and child in node.body):
+        skipped = inside or isinstance(child, ast.expr)
+        if not skipped and not (typing_only and child in node.body):
             yield from _nodes(child, nested)
 
 
