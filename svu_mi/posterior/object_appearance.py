@@ -13,6 +13,7 @@ from svu_mi.capture.surroundings import surroundings
 from svu_mi.core.arrays import evenly_spaced, to_drjit
 from svu_mi.geometry.texels import filled_image
 from svu_mi.light.panorama import trace_panorama
+from svu_mi.parameters import MIXED
 from svu_mi.posterior.calibrated_fit import fit, problem_of
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.sample_statistics import sample_factors
@@ -71,9 +72,9 @@ def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any]:
     image = filled_image(texels, values)
     glow = mi.load_dict(_texture(filled_image(texels, mean)))
     shown = ShownObject(light, to_drjit(mi.Float, image.ravel()), observed.texels.resolution, glow)
-    names = {"roughness": slice(3, 4), "base_color": slice(4, 7), "metallic": slice(7, 8)}
-    maps = {name: _texture(image[..., part].clip(0, 1)) for name, part in names.items()}
-    return shown, mi.load_dict({"type": "principled", **maps})
+    maps = map(_texture, np.split(image[..., 3:].clip(0, 1), [1, 4], axis=-1))
+    names = "roughness", "base_color", *MIXED
+    return shown, mi.load_dict({"type": "principled", **dict(zip(names, maps, strict=True))})
 
 
 def _texture(image: np.ndarray) -> dict[str, Any]:
