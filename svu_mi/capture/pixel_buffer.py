@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 
 from svu_mi.core.io.files import require_files
-from svu_mi.core.memory import READING, STORED, Size, decoders, free_memory
+from svu_mi.core.memory import GIGA, READING, STORED, Size, decoders, free_memory
 from svu_mi.errors import CaptureError
 
 SHARE = 0.5  # fraction of the free memory for photographs; larger captures are mapped files
 ON_DISK = Path("/var/tmp")  # on some systems, /tmp is in memory
-GIGA = 1e9
 SPARE = 32  # file descriptors needed in addition: photographs, decoders, libraries and results
 
 

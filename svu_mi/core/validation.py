@@ -7,7 +7,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from svu_mi.core.checked_arguments import mismatch
-from svu_mi.core.memory import Size, address_space, free_memory
+from svu_mi.core.memory import GIGA, Size, address_space, free_memory
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 
 MAX_LANES = 2**32 - 1  # per kernel launch
@@ -18,7 +18,6 @@ TEXEL_BYTES = 2**8  # per texel of the grid, including those outside of all char
 PIXEL_BYTES = 16  # per pixel of a photograph in memory: three floats and two masks
 RENDER_BYTES = 100  # per pixel of a film during rendering; measured: 90
 MASK_LANES = 9  # rays per pixel that render the object's mask
-GIGA = 1e9
 
 
 def require(options: Any, condition: bool, name: str, expected: str) -> None:

@@ -61,12 +61,14 @@ def factors(sums: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def between_levels(U: np.ndarray, roughness: float) -> np.ndarray:
-    """Interpolate by a Catmull-Rom spline in the place among levels; ends are repeated."""
+    """Interpolate by a Catmull-Rom spline; the first level is repeated, and a parabola through
+    the last three continues."""
     last = len(U) - 1
     place = float(place_of(roughness, len(U)))
     k = min(int(place), last - 1)
     t = place - k
     a, b, c, d = (U[min(max(k + step, 0), last)] for step in (-1, 0, 1, 2))
+    d = a - 3 * b + 3 * c if 0 < k == last - 1 else d
     forms = b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)))
     forms[..., 3, 3] = np.maximum(forms[..., 3, 3], 0)
     return forms

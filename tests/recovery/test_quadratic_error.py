@@ -49,12 +49,14 @@ def factors_of(samples: np.ndarray) -> Factors:
 
 
 def spline(entries: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """(C, 10, T): Catmull-Rom, the ends repeated; written as Hermite's cubic."""
+    """(C, 10, T): Catmull-Rom as Hermite's cubic, with one-sided differences at the end."""
     place = place_of(np.clip(roughness, 0, 1), LEVELS)
     first = np.minimum(np.floor(place), LEVELS - 2).astype(int)
     t = place - first
     at = [entries[np.clip(first + k, 0, LEVELS - 1), ..., np.arange(TEXELS)] for k in (-1, 0, 1, 2)]
     m0, m1 = (at[2] - at[0]) / 2, (at[3] - at[1]) / 2
+    ends = (first == LEVELS - 2)[:, None, None]
+    m1 = np.where(ends, (at[0] - 4 * at[1] + 3 * at[2]) / 2, m1)
     t = t[:, None, None]
     h = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, -2 * t**3 + 3 * t**2, t**3 - t**2)
     return np.moveaxis(h[0] * at[1] + h[1] * m0 + h[2] * at[2] + h[3] * m1, 0, -1)

@@ -15,7 +15,7 @@ from svu_mi.parameters import CHANNELS, MIXED
 from svu_mi.recovery.regularizers.known_gradient import with_known_gradient
 from svu_mi.reflection.mix_columns import dot
 from svu_mi.reflection.principled import mixture, mixture_derivative
-from svu_mi.reflection.roughness_levels import catmull_rom, level_place, level_slope
+from svu_mi.reflection.roughness_levels import catmull_rom, continued, level_place, level_slope
 from svu_mi.statistics.cholesky_factors import Factors, apply_factor
 from svu_mi.statistics.gather_statistics import Values, mixing_values
 
@@ -94,7 +94,8 @@ def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list
         0.5 * slope * t * (3 * t - 2),
     ]
     levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
-    weights, reader = catmull_rom(t), factors.reader()
+    at_end, reader = mi.Float((first == last - 1) & (first > 0)), factors.reader()
+    weights, slopes = continued(catmull_rom(t), at_end), continued(slopes, at_end)
     near = [reader.factor(level) for level in levels]
     return [
         (_summed(weights, of_levels), _summed(slopes, of_levels))
