@@ -253,7 +253,7 @@ class AngularPreset(_Channels):
     to 1; other metals have any colour but black. 0: the prior of base colour is uniform for metals,
     too (calibrated)."""
 
-    levels: int = 10
+    levels: int = 12
     """Number of roughness levels of the statistics, which are interpolated in between (calibrated;
     otherwise statistics are gathered at the grid's nodes)."""
 

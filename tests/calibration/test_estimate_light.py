@@ -21,6 +21,7 @@ from support.made_up_samples import (
 )
 
 import svu_mi as svu
+from svu_mi.calibration.light import dim_light
 from svu_mi.calibration.light.dim_light import divergence, with_level_of_dim_cells
 from svu_mi.calibration.light.gauss_newton import (
     COLOR_SD,
@@ -116,9 +117,7 @@ def test_constant_light_reflects_as_the_directional_albedo_says(roughness):
     A, B, D = split_sum(alpha)[0, [16, 22, 30]].T
     np.testing.assert_allclose(columns.p[:, 0, 0], A, rtol=0.04)
     np.testing.assert_allclose(columns.q[:, 0, 0], B, rtol=0.04, atol=2e-3)
-    np.testing.assert_allclose(
-        columns.d[:, 0, 0], D, rtol=0.04
-    )
+    np.testing.assert_allclose(columns.d[:, 0, 0], D, rtol=0.04)
 
 
 @pytest.mark.parametrize("moves", [False, True])
@@ -329,9 +328,13 @@ def test_light_of_another_colour_is_found_out():
     assert (right.sd >= right.common).all()
 
 
-@pytest.mark.parametrize("added", [0.0, 0.7])
-def test_a_room_that_is_too_bright_beside_its_window_is_found_out(added):
-    samples, materials = made_up(200, 12)
+@pytest.mark.parametrize(
+    "added, views, draw", [(0.0, 12, 31), (0.7, 12, 31), (0.7, 12, 2), (0.7, 16, 1)]
+)
+def test_a_room_that_is_too_bright_beside_its_window_is_found_out(added, views, draw, monkeypatch):
+    """Each texel has a material of its own here; objects have fewer, so that 20 are assumed."""
+    monkeypatch.setattr(dim_light, "PATCHES", 100)
+    samples, materials = made_up(200, views, draw)
     window = fibonacci(256) @ [0.48, 0.6, 0.64] > 0.9
     x = np.log(np.where(window, 100.0, 0.2))[:, None] * np.ones((1, 3))
     noise = 1 + 0.02 * np.random.default_rng(5).normal(size=(samples.count, 3))

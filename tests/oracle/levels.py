@@ -6,11 +6,11 @@ import numpy as np
 
 
 def levels(count: int) -> np.ndarray:
-    """Return t sqrt(t) at equally spaced t in [0, 1]."""
+    """Return t^1.3 at equally spaced t in [0, 1]."""
     t = np.arange(count) / max(count - 1, 1)
-    return t * np.sqrt(t)
+    return t**1.3
 
 
 def place(roughness: np.ndarray | float, count: int) -> np.ndarray:
     """Return t (count - 1)."""
-    return np.cbrt(np.square(np.asarray(roughness, np.float64))) * (count - 1)
+    return np.asarray(roughness, np.float64) ** (10 / 13) * (count - 1)

@@ -150,8 +150,8 @@ def test_kernel_of_few_texels_is_cached(vase, tiled, monkeypatch):
 
 
 def test_too_many_statistics_are_refused_before_gathering(vase, tiled, monkeypatch):
-    """Dr.Jit uses 32-bit indices: 13 million texels with 324 values in three channels."""
-    limit = 324 * 1000
+    """Dr.Jit uses 32-bit indices: 11 million texels with 388 values in three channels."""
+    limit = 388 * 1000
     monkeypatch.setattr(estimators, "_factors", None)
 
     def asked(*args, **options):

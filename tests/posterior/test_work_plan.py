@@ -146,7 +146,7 @@ def test_work_is_really_left_out(grey, name):
         assert (few.factors.levels, all_of_it.factors.levels) == (2, 8)
         assert few.total == all_of_it.total == 512
     else:
-        assert few.factors.levels == all_of_it.factors.levels == 10
+        assert few.factors.levels == all_of_it.factors.levels == 12
         assert few.roughness.count == all_of_it.roughness.count == 2 * 42 / 7
         assert set(few.roughness.bin) == {2, 3}
 
