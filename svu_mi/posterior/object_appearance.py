@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MOST = 2**12  # number of texels whose materials are estimated
 BRIGHTER = 4.0  # largest ratio of the photographs to radiance without the object's own light
-LEVELS, PARTS = 6, 14  # numbers of roughness levels, also of light, and parts of roughness
+LEVELS, PARTS = 7, 14  # numbers of roughness levels, also of light, and parts of roughness
 
 
 def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:

@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-POWER = 1.3
+POWER = 4 / 3
 SMOOTHEST = 1e-3  # roughness below which the derivative of the place is constant
 SPLINE_LEVELS = 4  # number of levels that a spline interpolates
 

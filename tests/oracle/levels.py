@@ -6,11 +6,11 @@ import numpy as np
 
 
 def levels(count: int) -> np.ndarray:
-    """Return t^1.3 at equally spaced t in [0, 1]."""
+    """Return t^(4/3) at equally spaced t in [0, 1]."""
     t = np.arange(count) / max(count - 1, 1)
-    return t**1.3
+    return t * np.cbrt(t)
 
 
 def place(roughness: np.ndarray | float, count: int) -> np.ndarray:
     """Return t (count - 1)."""
-    return np.asarray(roughness, np.float64) ** (10 / 13) * (count - 1)
+    return np.asarray(roughness, np.float64) ** 0.75 * (count - 1)
