@@ -72,9 +72,9 @@ def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any]:
     image = filled_image(texels, values)
     glow = mi.load_dict(_texture(filled_image(texels, mean)))
     shown = ShownObject(light, to_drjit(mi.Float, image.ravel()), observed.texels.resolution, glow)
-    maps = map(_texture, np.split(image[..., 3:].clip(0, 1), [1, 4], axis=-1))
-    names = "roughness", "base_color", *MIXED
-    return shown, mi.load_dict({"type": "principled", **dict(zip(names, maps, strict=True))})
+    parts = np.split(image[..., 3:].clip(0, 1), [1, 4], axis=-1)
+    named = zip(("roughness", "base_color", *MIXED), map(_texture, parts), strict=True)
+    return shown, mi.load_dict({"type": "principled", **dict(named)})
 
 
 def _texture(image: np.ndarray) -> dict[str, Any]:

@@ -45,10 +45,10 @@ def catmull_rom(t: Any) -> list[Any]:
     ]
 
 
-def continued(weights: list[Any], at_end: Any) -> list[Any]:
-    """Return weights that continue values a, b, c as a parabola where ``at_end`` is 1, not 0."""
+def continued(weights: list[Any], begin: Any, last: Any) -> list[Any]:
+    """Return weights of levels from ``begin`` - 1 that continue as a parabola behind ``last``."""
     before, first, second, after = weights
-    beyond = after * at_end  # weight of a - 3 b + 3 c in place of c, which is repeated
+    beyond = after * ((begin == last - 1) & (begin > 0))  # of a - 3 b + 3 c, not of c again
     return [before + beyond, first - 3 * beyond, second + 3 * beyond, after - beyond]
 
 
@@ -57,7 +57,7 @@ def spline_weights(roughness: np.ndarray, levels: int) -> tuple[np.ndarray, np.n
     last = levels - 1
     place = level_place(np.clip(roughness, 0, 1), last)
     begin = np.minimum(np.floor(place), last - 1)
-    weights = continued(catmull_rom(place - begin), (begin == last - 1) & (begin > 0))
+    weights = continued(catmull_rom(place - begin), begin, last)
     near = np.clip(begin[:, None] + np.arange(-1, 3), 0, last).astype(int)
     return near, np.stack(weights, axis=1)
 

@@ -22,11 +22,11 @@ from svu_mi.core.code_digest import digest_of_code
 from svu_mi.core.io.files import clear_temporaries, prepare_folder
 from svu_mi.core.io.hashes import LETTERS, Key
 from svu_mi.core.io.npz import read_arrays, write_arrays
+from svu_mi.core.memory import GIGA
 from svu_mi.core.progress import Progress
 from svu_mi.errors import OutputError, SvuError
 
 NAME = re.compile(rf"[a-z]+-[0-9a-f]{{{LETTERS}}}\.npz")  # other files in the folder are not ours
-GIGA = 1e9
 UNITS = {"GB": GIGA, "MB": 1e6, "kB": 1e3}
 
 Arrays = Mapping[str, np.ndarray]

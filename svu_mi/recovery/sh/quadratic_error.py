@@ -94,8 +94,8 @@ def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list
         0.5 * slope * t * (3 * t - 2),
     ]
     levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
-    at_end, reader = mi.Float((first == last - 1) & (first > 0)), factors.reader()
-    weights, slopes = continued(catmull_rom(t), at_end), continued(slopes, at_end)
+    weights, slopes = (continued(x, first, last) for x in (catmull_rom(t), slopes))
+    reader = factors.reader()
     near = [reader.factor(level) for level in levels]
     return [
         (_summed(weights, of_levels), _summed(slopes, of_levels))
