@@ -13,10 +13,11 @@ from svu_mi.bench.accuracy import agreement
 from svu_mi.bench.compared_estimators import Variant
 from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Record
 from svu_mi.bench.markdown import Column, digits, tabulate
-from svu_mi.bench.reflected import DEPTH, SIZES
+from svu_mi.bench.reflected import SIZES
 from svu_mi.bench.scene_light import SAMPLES, scene_light_posteriors
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture
+from svu_mi.capture.surroundings import DEPTH
 from svu_mi.evaluation.reference_options import Noise
 from svu_mi.geometry.texels import Texels, texels
 from svu_mi.posterior.observations import Observed, observe
@@ -93,7 +94,7 @@ class PathsCase(CaseSubject):
     @cached_property
     def captures(self) -> dict[str, Capture]:
         """Captures with direct and with all light, those of ``svu bench reflected``."""
-        lit = replace(self.case, defines={**self.case.defines, "max_depth": DEPTH})
+        lit = replace(self.case, defines={**self.case.defines, "max_depth": str(DEPTH)})
         sizes = self.bench.sizes.shared if self.bench.quick else SIZES
         sizes = {name: sizes[name] for name in SIZES}
         return {
@@ -125,7 +126,7 @@ class PathsCase(CaseSubject):
         samples, made = QUICK[1] if self.bench.quick else SAMPLES, {}
         for light, observed in self.observed.items():
             models = sorted({kind.noise for kind in KINDS.values() if kind.light == light})
-            depth = int(DEPTH) if light == "all" else 2
+            depth = DEPTH if light == "all" else 2
             found = scene_light_posteriors(observed, self.chosen, models, depth, samples)
             made.update({(light, model): each for model, each in zip(models, found, strict=True)})
         return {name: made[kind.light, kind.noise] for name, kind in KINDS.items()}

@@ -3,7 +3,8 @@
 Posterior means and 90 % intervals of the preset ``default``, compared with the true textures, in
 photographs of direct light, of all bounces, on tables (from above), under four area lights, and
 with a flash only.
-The radiance of the model is compared with path tracing (``radiance_error``).
+The radiance of the model is compared with path tracing (``radiance_error``), and means of some
+texels with those of path-traced posteriors, which show what the photographs determine.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from svu_mi.bench.experiment import BenchRun, CaseSubject, Experiment, Measureme
 from svu_mi.bench.markdown import Column, digits, tabulate
 from svu_mi.bench.posterior_scores import JUDGED, posterior_figures
 from svu_mi.bench.radiance_error import radiance_error
+from svu_mi.bench.scene_light import learned_posterior, scene_light_posteriors
 from svu_mi.bench.spoiled_captures import box_of, on_table, photographed, with_table
 from svu_mi.bench.study import Selection, Study
 from svu_mi.capture.capture import Capture, Flash
@@ -29,17 +31,22 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import to_world
 from svu_mi.capture.sensors import sphere_sensors
+from svu_mi.capture.surroundings import DEPTH, DIRECT
 from svu_mi.core.arrays import evenly_spaced
+from svu_mi.evaluation.psnr import psnr
 from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import texels
+from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
+from svu_mi.posterior.observations import Observed
+from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import preset
 
 SIZES: dict[str, Any] = {"views": 24, "film": 192, "spp": 32}
 QUICK: dict[str, Any] = {"views": 16, "film": 48, "spp": 4}
 TEXELS, QUICK_TEXELS = 96, 32  # per side
 QUICK_PATHS = 50, 16  # pairs, and square root of the paths of each half
-DEPTH = "6"  # of photographs with all bounces
+TRACED, QUICK_TRACED = (300, 128), (12, 8)  # path-traced texels, and samples of each lobe
 GREY, BLACK = (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)
 # Directions of four square area lights and their radiance, three radii from the object.
 LIGHTS = (((2, 2.5, 2), (10, 9, 8)), ((-2, 2, 1.5), (6, 7, 9)),
@@ -70,7 +77,7 @@ class ReflectedCase(CaseSubject):
     @property
     def bounced(self) -> Capture:
         """Photographs of all light of the environment."""
-        defines = {**self.case.defines, "max_depth": DEPTH}
+        defines = {**self.case.defines, "max_depth": str(DEPTH)}
         case = replace(self.case, defines=defines)
         return self.bench.capture(case, "reflected-bounces", **self.photographs)
 
@@ -83,7 +90,7 @@ class ReflectedCase(CaseSubject):
     def from_above(self) -> Capture:
         """Photographs of direct light, without a table, by the cameras that are above one."""
         capture = replace(with_table(self.direct, BLACK), scene=self.direct.scene)
-        return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=2)
+        return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=DIRECT)
 
     @property
     def under_lamps(self) -> Capture:
@@ -99,9 +106,9 @@ class ReflectedCase(CaseSubject):
                 "bsdf": {"type": "diffuse", "reflectance": 0.0},
                 "emitter": {"type": "area", "radiance": light},
             }))  # fmt: skip
-        direct = mi.load_dict({"type": "path", "max_depth": 2})
+        direct = mi.load_dict({"type": "path", "max_depth": DIRECT})
         capture = replace(self.direct, scene=make_scene([direct, self.direct.shape, *lamps]))
-        return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=2)
+        return photographed(capture, repeat(capture.scene), self.photographs["spp"], depth=DIRECT)
 
     @property
     def under_flash(self) -> Capture:
@@ -109,16 +116,21 @@ class ReflectedCase(CaseSubject):
         sizes = self.photographs if self.bench.quick else FLASHED
         _, size = box_of(arrays(self.direct.shape))
         place, power = (-BESIDE * size, BESIDE * size, 0.0), (size**2,) * 3
-        path = mi.load_dict({"type": "path", "max_depth": 2})
+        path = mi.load_dict({"type": "path", "max_depth": DIRECT})
         sensors = sphere_sensors(self.direct.shape, sizes["views"], (sizes["film"],) * 2)
         dark = make_scene([path, self.direct.shape])
         capture = capture_in_memory(dark, self.direct.shape, sensors, ())
         lit = (make_scene([path, self.direct.shape, _lamp_at(x, place, power)]) for x in sensors)
-        capture = photographed(capture, lit, self.photographs["spp"], depth=2)
+        capture = photographed(capture, lit, self.photographs["spp"], depth=DIRECT)
         return replace(capture, flash=Flash(place, power))
 
-    def figures(self, capture: Capture, *, bounces: bool = False, known: bool = True) -> Record:
-        """Return the scores of the posterior, and of radiance if the light is ``known``."""
+    def figures(
+        self, capture: Capture, *, bounces: bool = False, known: bool = True, depth: int = 0
+    ) -> Record:
+        """Return the scores of the posterior, and of radiance if the light is ``known``.
+
+        Posteriors are path traced, too, if photographs have paths of a known ``depth``.
+        """
         layout = texels(capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
         chosen = preset("default", method="angular", bounces=bounces)
         found = estimate(capture, layout, preset=chosen)
@@ -127,22 +139,55 @@ class ReflectedCase(CaseSubject):
         truth = {name: np.asarray(x)[seen] for name, x in parameters_at(capture, layout).items()}
         predicted = found.prediction and found.prediction.r2
         scores = {**posterior_figures(found.posterior, truth, seen), "r2": predicted}
-        if not known or found.observed is None:
+        if found.observed is None:
+            return scores
+        scores |= self._some_means("some", found.posterior, found.observed)
+        if depth:
+            traced = self._path_traced(found.observed, depth)
+            scores |= self._some_means("traced", traced, found.observed)
+        if not known:
             return scores
         sizes = QUICK_PATHS if self.bench.quick else ()
         return {**scores, **radiance_error(found.observed, chosen, *sizes)}
 
+    def _some_texels(self, observed: Observed) -> np.ndarray:
+        """Return the texels whose posteriors are path traced."""
+        seen, (count, _) = np.flatnonzero(observed.coverage), self._traced_sizes
+        random = np.random.default_rng(self.bench.sizes.seed)
+        return np.sort(random.choice(seen, min(count, len(seen)), replace=False))
+
+    @property
+    def _traced_sizes(self) -> tuple[int, int]:
+        return QUICK_TRACED if self.bench.quick else TRACED
+
+    def _path_traced(self, observed: Observed, depth: int) -> Posterior:
+        """Return the path-traced posterior of some texels."""
+        some, (_, samples) = self._some_texels(observed), self._traced_sizes
+        found = scene_light_posteriors(observed, some, ["estimated"], depth, samples)
+        return learned_posterior(found[0])
+
+    def _some_means(self, title: str, posterior: Posterior, observed: Observed) -> Record:
+        """Return the PSNR of means at some texels, of a posterior of all texels or of these."""
+        some, truth = self._some_texels(observed), parameters_at(observed.capture, observed.texels)
+        record = {}
+        for name in NAMES:
+            true, mean = np.asarray(truth[name])[some], np.array(posterior.mean(name))
+            mean = mean if len(mean) == len(some) else mean[some]
+            key = name.replace("base_", "")[0]
+            record[f"{title} {key}"] = psnr(mean.reshape(true.shape), true)
+        return record
+
 
 ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
-    "direct light": lambda case: case.figures(case.direct),
+    "direct light": lambda case: case.figures(case.direct, depth=DIRECT),
     "all bounces, ignored": lambda case: case.figures(case.bounced, known=False),
-    "all bounces": lambda case: case.figures(case.bounced, bounces=True),
-    "direct light, from above": lambda case: case.figures(case.from_above),
-    "black table": lambda case: case.figures(case.on_known_table(BLACK), bounces=True),
+    "all bounces": lambda case: case.figures(case.bounced, bounces=True, depth=DEPTH),
+    "direct light, from above": lambda case: case.figures(case.from_above, depth=DIRECT),
+    "black table": lambda case: case.figures(case.on_known_table(BLACK), bounces=True, depth=DEPTH),
     "grey table, ignored": lambda case: case.figures(
         on_table(case.direct, GREY, case.photographs["spp"]), known=False
     ),
-    "grey table": lambda case: case.figures(case.on_known_table(GREY), bounces=True),
+    "grey table": lambda case: case.figures(case.on_known_table(GREY), bounces=True, depth=DEPTH),
     "four lamps": lambda case: case.figures(case.under_lamps),
     "flash": lambda case: case.figures(case.under_flash, known=False),
 }
@@ -190,6 +235,8 @@ SHOWN = (
     _number("R^2", "r2", 2),
     _number("radiance: median error", "radiance median", 3),
     _number("rms", "radiance rms", 3),
+    *(_number(f"{TRACED[0]} texels: {key}", f"some {key}", 1) for key in "rmc"),
+    *(_number(f"path traced: {key}", f"traced {key}", 1) for key in "rmc"),
 )
 
 

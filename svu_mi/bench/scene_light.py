@@ -22,10 +22,15 @@ from svu_mi.evaluation.reference import Reference
 from svu_mi.evaluation.reference_options import Noise, ReferenceOptions
 from svu_mi.evaluation.traced_posterior import trace_tables
 from svu_mi.evaluation.visible_pairs import VisiblePairs
+from svu_mi.posterior.calibrated import calibrated_posterior
 from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.posterior.metal_share import learned_metal_share
 from svu_mi.posterior.observations import Observed
+from svu_mi.posterior.posterior import Posterior
+from svu_mi.presets import AngularPreset
 from svu_mi.reflection.near_lobes import INSIDE, LATTICE
 from svu_mi.reflection.roughness_levels import roughness_levels
+from svu_mi.statistics.statistics import Statistics
 
 LOBES, SKY = 10, 10  # sets of directions from lobes and from the environment
 SAMPLES = 256  # directions of each set and pair of texel and view
@@ -59,6 +64,19 @@ def scene_light_posteriors(
         traced = trace_tables(observed, texels, options, renderer)
         references.append(replace(Reference.of(traced, options, cached=False), max_depth=depth))
     return references
+
+
+def learned_posterior(reference: Reference) -> Posterior:
+    """Return the posterior of estimated noise with the share of metals that its texels have."""
+    options, grid, unit = AngularPreset(), PrincipledGrid(), reference.unit
+    assert reference.weight is not None
+    statistics = Statistics.of(
+        reference.tables[0], reference.weight, reference.coverage,
+        roughness_levels(options.levels), options.knee * unit,
+    )  # fmt: skip
+    factors = statistics.factor()
+    share = learned_metal_share(factors, grid, unit, options)
+    return calibrated_posterior(factors, grid, unit, replace(options, metal_share=share))
 
 
 @dataclass(frozen=True)

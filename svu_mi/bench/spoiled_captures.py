@@ -21,6 +21,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays, make_mesh
 from svu_mi.capture.replace_material import make_scene
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.capture.sensors import affine, describe, film_size, make_sensor, sphere_sensors
+from svu_mi.capture.surroundings import DEPTH
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.light.environment import read_environment
 from svu_mi.light.prefiltered import rasterized
@@ -184,7 +185,7 @@ def on_turntable(capture: Capture, spp: int) -> Capture:
     return photographed(capture, lights, spp)
 
 
-def photographed(capture: Capture, scenes: Iterable[Any], spp: int, depth: int = 4) -> Capture:
+def photographed(capture: Capture, scenes: Iterable[Any], spp: int, depth: int = DEPTH) -> Capture:
     """Return the capture with new photographs, of one scene each."""
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
     images = []

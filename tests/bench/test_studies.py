@@ -74,7 +74,7 @@ TINY = {
     poses: {"QUICK": {"views": 8, "film": 32, "spp": 2}, "QUICK_TEXELS": 16},
     refine_poses: {"OUTLINES": 1, "COARSE": ((16, 1.0),), "FINE": ((16, 0.5),)},
     reflected: {"QUICK": {"views": 12, "film": 24, "spp": 2}, "QUICK_TEXELS": 12,
-                "QUICK_PATHS": (20, 4)},
+                "QUICK_PATHS": (20, 4), "QUICK_TRACED": (6, 4)},
     verdict: {"QUICK": {"views": 16, "film": 32, "spp": 4}, "QUICK_TEXELS": 20},
     sureness: {"SPP": 4, "DRAWS": 4, "VIEWS": 2, "LIGHTS": 1, "recover": _briefly},
     table2: {"QUICK_FILM": 24, "QUICK_TEXELS": 16, "QUICK_SPP": 2, "ROWS": table2.ROWS[:2]},
