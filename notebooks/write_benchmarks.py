@@ -399,11 +399,11 @@ SECTIONS = (
         "Posterior means and 90 % intervals in photographs of direct light, of all bounces, on tables, "
         "under four area lights, and with a flash alone (60 photographs of 256 x 256): PSNR, and share "
         "of intervals with the truth, of roughness, metallic and base colour. Radiance of the model "
-        "with the true textures is compared with path tracing. Path-traced posteriors of 300 texels "
+        "with the true textures is compared with path tracing. Path-traced posteriors of 200 texels "
         "show what the photographs determine.",
         {"reflected": reflections},
         heads=("photographs", "PSNR", "90 % intervals", "error of radiance: median / rms",
-               "PSNR, 300 texels", "path traced"),
+               "PSNR, 200 texels", "path traced"),
     ),
     Section(
         "Refined poses",
