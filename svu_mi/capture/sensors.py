@@ -124,9 +124,7 @@ def windowed_sensor(
     focal, center = focal_length(sensor) * scale, principal_point(sensor)
     return changed_sensor(
         sensor, x_fov=float(2 * np.degrees(np.arctan(size[0] / 2 / focal))),
-        principal_point_offset=[
-            0.5 - (center[k] - corner[k]) * scale / size[k] for k in range(2)
-        ],
+        principal_point_offset=[0.5 - (center[k] - corner[k]) * scale / size[k] for k in range(2)],
         film=list(size), crop_offset=[0, 0], crop_size=list(size),
     )  # fmt: skip
 

@@ -67,9 +67,7 @@ class CheckCapture(BaseCommand):
         print_line(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not result.fits else 0
 
-    def _run(
-        self, progress: Progress, place: Claim, light: Light | None
-    ) -> tuple[Capture, Check]:  # fmt: skip
+    def _run(self, progress: Progress, place: Claim, light: Light | None) -> tuple[Capture, Check]:
         from svu_mi.calibration.checks.check import check
         from svu_mi.calibration.light.resolve_light import photo_gains, with_resolved_light
         from svu_mi.capture.crop import Detail

@@ -37,9 +37,7 @@ Fixes = Annotated[tuple[str, ...], arg(name="fix", metavar="NAME"), tyro.conf.Us
 CONVENTION = MapOptions()
 
 
-def _light(
-    environment: Path | None = None, convention: MapOptions = CONVENTION
-) -> Light | None:
+def _light(environment: Path | None = None, convention: MapOptions = CONVENTION) -> Light | None:
     """Return the light given by command-line options.
 
     Args:

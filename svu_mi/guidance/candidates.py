@@ -175,9 +175,7 @@ class Candidates:
         return replace(self, reachable=self.reachable & flags)
 
 
-def candidates_or_default(
-    given: Candidates | Sequence[Any] | None, capture: Capture
-) -> Candidates:
+def candidates_or_default(given: Candidates | Sequence[Any] | None, capture: Capture) -> Candidates:
     """Return ``given`` as candidates; if None, sensors without a photograph, or a sphere."""
     if isinstance(given, Candidates):
         return given

@@ -62,9 +62,7 @@ def prior_marginal(posterior: Posterior, name: str) -> np.ndarray:
     return np.asarray(posterior.prior.sum(axis=others))
 
 
-def mean_marginals(
-    estimate: Estimate,
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def mean_marginals(estimate: Estimate) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return mean marginals of all seen texels, and of the 10 % with the lowest entropy.
 
     Marginals are by parameter, (nodes, 1), or (nodes, 3) if the channels differ. At least one texel

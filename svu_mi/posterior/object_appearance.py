@@ -1,9 +1,10 @@
 """The object, with estimated materials, for the light that it reflects onto itself.
 
-Materials of some texels are estimated as if there were no such light, and matte ones are as bright
-as in the photographs. Other texels have those of the nearest one.
+Materials of some texels are estimated as if there were no such light, then again in the light of
+these. Matte ones are as bright as in the photographs. Other texels have those of the nearest one.
 """
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -28,25 +29,30 @@ from svu_mi.statistics.gather_statistics import Weighting
 if TYPE_CHECKING:
     from svu_mi.posterior.observations import Observed
 
-MOST = 2**12  # number of texels whose materials are estimated
+MOST = 2**11  # number of texels whose materials are estimated
 BRIGHTER = 4.0  # largest ratio of the photographs to radiance without the object's own light
 LEVELS, PARTS = 7, 14  # numbers of roughness levels, also of light, and parts of roughness
 
 
 def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:
     """Return the surfaces whose light is modelled; the object is black without ``bounces``."""
-    shown, material = _shown_object(observed, switches.cells) if switches.bounces else (None, None)
+    shown, material = _shown_object(observed, switches) if switches.bounces else (None, None)
     capture = observed.capture
     scene, integrator = surroundings(capture, material)
     others = trace_panorama(capture, scene, integrator) if observed.has_reflectors else None
-    return NearSurfaces(scene, shown, others)
+    found = NearSurfaces(scene, shown, others)
+    if shown is None:
+        return found
+    return replace(found, shown=_shown_object(observed.among(found), switches, bounces=True)[0])
 
 
-def _shown_object(observed: "Observed", cells: int) -> tuple[ShownObject, Any]:
+def _shown_object(
+    observed: "Observed", options: AngularPreset, *, bounces: bool = False
+) -> tuple[ShownObject, Any]:
     """Return the object, and its BSDF."""
-    switches = AngularPreset(cells=cells, levels=LEVELS, parts=PARTS)
+    switches = AngularPreset(cells=options.cells, levels=LEVELS, parts=PARTS, bounces=bounces)
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
-    chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 4))
+    chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 2))
     part = observed.subset(chosen)
     model = part.model(roughness_levels(switches.levels), switches, 3)
     roughness, metal, color = np.split(_estimated(part, model), [1, 2], axis=1)

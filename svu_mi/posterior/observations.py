@@ -95,6 +95,10 @@ class Observed:
         cache = self.cache.under("plane", albedo)
         return replace(self, plane=albedo, cache=cache, _of_light={}, _rays={})
 
+    def among(self, surfaces: NearSurfaces) -> "Observed":
+        """Return a copy with known surfaces around texels, for presets with ``bounces``."""
+        return replace(self, _of_light={**self._of_light, ("around", True): surfaces})
+
     def without(self, texels: np.ndarray, groups: Sequence[np.ndarray]) -> "Observed":
         """Return (t,) texels once for each group of views, without these (see ``Visibility``).
 

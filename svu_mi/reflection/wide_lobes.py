@@ -61,9 +61,7 @@ class LobeSums:
 
     # Not a dataclass, because Dr.Jit would treat the fields as loop state.
 
-    def __init__(
-        self, alpha: np.ndarray, channels: int, normals: Normals, direction: Any
-    ) -> None:  # fmt: skip
+    def __init__(self, alpha: np.ndarray, channels: int, normals: Normals, direction: Any) -> None:
         self.alpha, self.channels = alpha.tolist(), channels
         self.normals, self.direction = normals, direction
 
