@@ -29,30 +29,32 @@ from svu_mi.statistics.gather_statistics import Weighting
 if TYPE_CHECKING:
     from svu_mi.posterior.observations import Observed
 
-MOST = 2**11  # number of texels whose materials are estimated
+FIRST, MOST = 2**10, 2**11  # number of texels whose materials are estimated: first, and again
 BRIGHTER = 4.0  # largest ratio of the photographs to radiance without the object's own light
 LEVELS, PARTS = 7, 14  # numbers of roughness levels, also of light, and parts of roughness
 
 
 def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:
     """Return the surfaces whose light is modelled; the object is black without ``bounces``."""
-    shown, material = _shown_object(observed, switches) if switches.bounces else (None, None)
-    capture = observed.capture
+    shown, material, capture = None, None, observed.capture
+    if switches.bounces:
+        shown, material = _shown_object(observed, switches.cells, FIRST)
     scene, integrator = surroundings(capture, material)
     others = trace_panorama(capture, scene, integrator) if observed.has_reflectors else None
     found = NearSurfaces(scene, shown, others)
     if shown is None:
         return found
-    return replace(found, shown=_shown_object(observed.among(found), switches, bounces=True)[0])
+    observed = observed.among(found)
+    return replace(found, shown=_shown_object(observed, switches.cells, MOST, bounces=True)[0])
 
 
 def _shown_object(
-    observed: "Observed", options: AngularPreset, *, bounces: bool = False
+    observed: "Observed", cells: int, count: int, *, bounces: bool = False
 ) -> tuple[ShownObject, Any]:
-    """Return the object, and its BSDF."""
-    switches = AngularPreset(cells=options.cells, levels=LEVELS, parts=PARTS, bounces=bounces)
+    """Return the object, and its BSDF; materials of ``count`` seen texels are estimated."""
+    switches = AngularPreset(cells=cells, levels=LEVELS, parts=PARTS, bounces=bounces)
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
-    chosen = np.union1d(seen[evenly_spaced(len(seen), MOST)], evenly_spaced(every, MOST // 2))
+    chosen = np.union1d(seen[evenly_spaced(len(seen), count)], evenly_spaced(every, MOST // 4))
     part = observed.subset(chosen)
     model = part.model(roughness_levels(switches.levels), switches, 3)
     roughness, metal, color = np.split(_estimated(part, model), [1, 2], axis=1)
