@@ -26,6 +26,7 @@ from svu_mi.capture.surroundings import surroundings
 from svu_mi.core.arrays import fibonacci, to_drjit
 from svu_mi.errors import OptionError
 from svu_mi.geometry.sample_view import TexelLanes
+from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.light.band_limited import band_limited_lighting, lat_long_texture
 from svu_mi.light.environment import read_environment
 from svu_mi.light.near_light import trace_near_light
@@ -280,15 +281,34 @@ def test_mirror_rays_of_a_shown_object_meet_it():
     assert np.abs(found / expected - 1).mean() < 0.05
 
 
-def test_matte_parts_beside_others_are_as_bright_as_path_traced():
-    """Light that reaches a violet ball of plastic by way of its neighbours is in its blue light."""
+@pytest.fixture(scope="module")
+def touching():
+    """Photographs of touching spheres, their texels, and the surfaces around these."""
     scene = load_scene(scenes.path("spheres"), {"light": "studio"})
     (shape,) = scene.shapes()
     sensors = sphere_sensors(shape, 16, (64, 64))
     images = render_views(scene, sensors, 32)
     capture = memory_capture(scene, images, sensors, shape=shape, mesh=shape)
     layout = svu.texels(shape, 64)
-    surfaces = near_surfaces(observe(capture, layout), preset("default", bounces=True))
+    found = near_surfaces(observe(capture, layout), preset("default", bounces=True))
+    return capture, layout, found
+
+
+def test_materials_of_a_shown_object_are_estimated_in_its_own_light(touching):
+    capture, layout, surfaces = touching
+    alone = svu.estimate(capture, layout)
+    shown = surfaces.shown.values.numpy().reshape(-1, 8)[layout.index.numpy()]
+    truth, seen = parameters_at(capture, layout), alone.posterior.observed
+    for name, values in (("metallic", shown[:, 7]), ("base_color", shown[:, 4:7])):
+        direct = np.array(alone.posterior.mean(name)).reshape(values.shape)
+        found, ignored = (np.square(x - truth[name])[seen].mean() for x in (values, direct))
+        assert found < 0.75 * ignored
+
+
+def test_matte_parts_beside_others_are_as_bright_as_path_traced(touching):
+    """Light that reaches a violet ball of plastic by way of its neighbours is in its blue light."""
+    capture, layout, surfaces = touching
+    scene, shape = capture.scene, capture.shape
     random = np.random.default_rng(3)
     chosen = to_drjit(mi.UInt32, random.integers(layout.count, size=20000).astype(np.uint32))
     lanes = TexelLanes.of(layout, chosen)
