@@ -40,7 +40,8 @@ from svu_mi.bench.study import figures, provenance, read_record, study_of
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "notebooks" / "benchmarks"
 # Estimators and photographs whose results are on the pages of the studies only, and simple maps.
-LESS = ("spectrum paper, relative noise", "black table", "direct light, from above")
+LESS = ("spectrum paper, relative noise", "black table", "direct light, from above",
+        "all bounces, ignored")
 COMPARED = ("angular default", "angular fixed", "angular fast")  # in times
 SIMPLE = ("brightness", "number of views")
 Record = dict[str, Any]
