@@ -176,12 +176,12 @@ def reflections(record: Record) -> list[Row]:
         values = [[row.get(f"{what} {key}") for row in found[name]] for key in "rmc"]
         return " / ".join(f"{mean(x):{form}}" for x in values if None not in x)
 
-    def won_back(what: str, traced: str) -> str:
+    def won_back(without: str, within: str) -> str:
         """Return the share of the loss by ignoring a grey table that a known one does not have."""
         best, known, ignored = (
             [mean(row[f"{kind} {key}"] for row in found[name]) for key in "rmc"]
-            for name, kind in (("direct light, from above", traced), ("grey table", traced),
-                               ("grey table, ignored", what))
+            for name, kind in (("direct light, from above", within), ("grey table", within),
+                               ("grey table, ignored", without))
         )  # fmt: skip
         shares = [(k - i) / (b - i) for b, k, i in zip(best, known, ignored, strict=True)]
         return " / ".join(f"{100 * share:.0f}" for share in shares) + " %"

@@ -9,7 +9,7 @@ texels with those of path-traced posteriors, which show what the photographs det
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import repeat
@@ -38,7 +38,6 @@ from svu_mi.geometry.texel_materials import parameters_at
 from svu_mi.geometry.texels import texels
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
-from svu_mi.posterior.observations import Observed
 from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import preset
 
@@ -142,46 +141,26 @@ class ReflectedCase(CaseSubject):
         found = estimate(capture, layout, preset=chosen)
         seen = np.flatnonzero(found.posterior.observed)
         seen = seen[evenly_spaced(len(seen), JUDGED)]
-        truth = {name: np.asarray(x)[seen] for name, x in parameters_at(capture, layout).items()}
+        truth = {name: np.asarray(x) for name, x in parameters_at(capture, layout).items()}
+        judged = {name: x[seen] for name, x in truth.items()}
         predicted = found.prediction and found.prediction.r2
-        scores = {**posterior_figures(found.posterior, truth, seen), "r2": predicted}
+        scores = {**posterior_figures(found.posterior, judged, seen), "r2": predicted}
         if found.observed is None:
             return scores
-        scores |= self._some_means("some", found.posterior, found.observed)
+        count, samples = QUICK_TRACED if self.bench.quick else TRACED
+        some = np.flatnonzero(found.observed.coverage)
+        random = np.random.default_rng(self.bench.sizes.seed)
+        some = np.sort(random.choice(some, min(count, len(some)), replace=False))
+        true = {name: truth[name][some] for name in NAMES}
+        scores |= _psnr_of_means("some", found.posterior, some, true)
         if depth:
-            traced = self._path_traced(found.observed, depth)
-            scores |= self._some_means("traced", traced, found.observed)
+            traced = scene_light_posteriors(found.observed, some, ["estimated"], depth, samples)
+            posterior = learned_posterior(traced[0])
+            scores |= _psnr_of_means("traced", posterior, np.arange(len(some)), true)
         if not known:
             return scores
         sizes = QUICK_PATHS if self.bench.quick else ()
         return {**scores, **radiance_error(found.observed, chosen, *sizes)}
-
-    def _some_texels(self, observed: Observed) -> np.ndarray:
-        """Return the texels whose posteriors are path traced."""
-        seen, (count, _) = np.flatnonzero(observed.coverage), self._traced_sizes
-        random = np.random.default_rng(self.bench.sizes.seed)
-        return np.sort(random.choice(seen, min(count, len(seen)), replace=False))
-
-    @property
-    def _traced_sizes(self) -> tuple[int, int]:
-        return QUICK_TRACED if self.bench.quick else TRACED
-
-    def _path_traced(self, observed: Observed, depth: int) -> Posterior:
-        """Return the path-traced posterior of some texels."""
-        some, (_, samples) = self._some_texels(observed), self._traced_sizes
-        found = scene_light_posteriors(observed, some, ["estimated"], depth, samples)
-        return learned_posterior(found[0])
-
-    def _some_means(self, title: str, posterior: Posterior, observed: Observed) -> Record:
-        """Return the PSNR of means at some texels, of a posterior of all texels or of these."""
-        some, truth = self._some_texels(observed), parameters_at(observed.capture, observed.texels)
-        record = {}
-        for name in NAMES:
-            true, mean = np.asarray(truth[name])[some], np.array(posterior.mean(name))
-            mean = mean if len(mean) == len(some) else mean[some]
-            key = name.replace("base_", "")[0]
-            record[f"{title} {key}"] = psnr(mean.reshape(true.shape), true)
-        return record
 
 
 ROWS: dict[str, Callable[[ReflectedCase], Record]] = {
@@ -204,6 +183,15 @@ def _lamp_at(sensor: Any, place: Sequence[float], power: Sequence[float]) -> Any
     at = to_world(sensor) @ (*place, 1.0)
     intensity = {"type": "rgb", "value": list(power)}
     return mi.load_dict({"type": "point", "position": at[:3].tolist(), "intensity": intensity})
+
+
+def _psnr_of_means(
+    title: str, posterior: Posterior, chosen: np.ndarray, truth: Mapping[str, np.ndarray]
+) -> Record:
+    """Return the PSNR of the means of ``chosen`` texels, by parameter."""
+    means = {name: np.array(posterior.mean(name))[chosen] for name in truth}
+    return {f"{title} {name.replace('base_', '')[0]}": psnr(means[name].reshape(true.shape), true)
+            for name, true in truth.items()}  # fmt: skip
 
 
 def _row(name: str, made: Callable[[ReflectedCase], Record]) -> Measurement:

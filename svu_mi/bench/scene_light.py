@@ -30,7 +30,6 @@ from svu_mi.posterior.posterior import Posterior
 from svu_mi.presets import AngularPreset
 from svu_mi.reflection.near_lobes import INSIDE, LATTICE
 from svu_mi.reflection.roughness_levels import roughness_levels
-from svu_mi.statistics.statistics import Statistics
 
 LOBES, SKY = 10, 10  # sets of directions from lobes and from the environment
 SAMPLES = 256  # directions of each set and pair of texel and view
@@ -69,12 +68,8 @@ def scene_light_posteriors(
 def learned_posterior(reference: Reference) -> Posterior:
     """Return the posterior of estimated noise with the share of metals that its texels have."""
     options, grid, unit = AngularPreset(), PrincipledGrid(), reference.unit
-    assert reference.weight is not None
-    statistics = Statistics.of(
-        reference.tables[0], reference.weight, reference.coverage,
-        roughness_levels(options.levels), options.knee * unit,
-    )  # fmt: skip
-    factors = statistics.factor()
+    levels = roughness_levels(options.levels)
+    factors = reference.statistics(reference.tables[0], levels).factor()
     share = learned_metal_share(factors, grid, unit, options)
     return calibrated_posterior(factors, grid, unit, replace(options, metal_share=share))
 

@@ -42,15 +42,14 @@ class TracedTables:
             over = self.coverage.reshape(-1, *(1 for _ in grid.shape))
             views = over if options.errors == "sum" else 1
             return [tabulated_posterior(views * table, grid, seen) for table in self.tables]
+        known = [self.statistics(table, options.levels) for table in self.tables]
+        return [calibrated_posterior(each, grid, self.unit) for each in known]
+
+    def statistics(self, table: np.ndarray, levels: np.ndarray) -> Statistics:
+        """Return the statistics of a table of sums."""
+        assert self.weight is not None
         kappa = AngularPreset().knee * self.unit
-        return [
-            calibrated_posterior(
-                Statistics.of(table, self.weight, self.coverage, options.levels, kappa),
-                grid,
-                self.unit,
-            )  # fmt: skip
-            for table in self.tables
-        ]
+        return Statistics.of(table, self.weight, self.coverage, levels, kappa)
 
 
 @dataclass(frozen=True)

@@ -273,9 +273,7 @@ def _bin_masses(problem: CalibratedProblem, chosen: np.ndarray) -> Any:
         return (masses,)
 
     begin, end = (dr.gather(mi.UInt32, nodes.first, bin_index + step) for step in (0, 1))
-    (masses,) = integrator.fold_rows(
-        begin, end, visit, (BinMasses.zeros(problem, 1),),
-    )  # fmt: skip
+    (masses,) = integrator.fold_rows(begin, end, visit, (BinMasses.zeros(problem, 1),))
     first = texel * dr.opaque(mi.UInt32, rows) + bin_index
     size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
     result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # every value is written below

@@ -22,7 +22,7 @@ from svu_mi.presets import AngularPreset
 from svu_mi.reflection.near_surfaces import NearSurfaces, ShownObject
 from svu_mi.reflection.principled import diffuse_from_principled, specular_from_principled
 from svu_mi.reflection.reflection_model import ReflectionModel
-from svu_mi.reflection.render_model import prefiltered_model
+from svu_mi.reflection.render_model import PrefilteredModel, prefiltered_model
 from svu_mi.reflection.roughness_levels import roughness_levels
 from svu_mi.statistics.gather_statistics import Weighting
 
@@ -36,23 +36,25 @@ LEVELS, PARTS = 7, 14  # numbers of roughness levels, also of light, and parts o
 
 def near_surfaces(observed: "Observed", switches: AngularPreset) -> NearSurfaces:
     """Return the surfaces whose light is modelled; the object is black without ``bounces``."""
-    shown, material, capture = None, None, observed.capture
+    capture, shown, material = observed.capture, None, None
+    own = AngularPreset(cells=switches.cells, levels=LEVELS, parts=PARTS)
     if switches.bounces:
-        shown, material = _shown_object(observed, switches.cells, FIRST)
+        sky = prefiltered_model(observed.distant_light, own, LEVELS)
+        shown = _shown_object(observed, own, sky, FIRST)
+        material = _material(shown)
     scene, integrator = surroundings(capture, material)
     others = trace_panorama(capture, scene, integrator) if observed.has_reflectors else None
     found = NearSurfaces(scene, shown, others)
     if shown is None:
         return found
-    observed = observed.among(found)
-    return replace(found, shown=_shown_object(observed, switches.cells, MOST, bounces=True)[0])
+    own = replace(own, bounces=True)
+    return replace(found, shown=_shown_object(observed.among(found), own, shown.light, MOST))
 
 
 def _shown_object(
-    observed: "Observed", cells: int, count: int, *, bounces: bool = False
-) -> tuple[ShownObject, Any]:
-    """Return the object, and its BSDF; materials of ``count`` seen texels are estimated."""
-    switches = AngularPreset(cells=cells, levels=LEVELS, parts=PARTS, bounces=bounces)
+    observed: "Observed", switches: AngularPreset, sky: PrefilteredModel, count: int
+) -> ShownObject:
+    """Return the object; materials of ``count`` seen texels are estimated."""
     seen, every = np.flatnonzero(observed.coverage), observed.texels.count
     chosen = np.union1d(seen[evenly_spaced(len(seen), count)], evenly_spaced(every, MOST // 4))
     part = observed.subset(chosen)
@@ -76,13 +78,17 @@ def _shown_object(
     ratio = np.clip(photographed / np.maximum(expected, tiny), 1 / BRIGHTER, BRIGHTER)
     matte *= np.where(unseen[:, None], 1, ratio)
     values = np.concatenate([matte, roughness, color, metal], axis=1).astype(np.float32)
-    light = prefiltered_model(observed.distant_light, switches, LEVELS)
     image = filled_image(texels, values)
     glow = mi.load_dict(_texture(filled_image(texels, mean)))
-    shown = ShownObject(light, to_drjit(mi.Float, image.ravel()), observed.texels.resolution, glow)
+    return ShownObject(sky, to_drjit(mi.Float, image.ravel()), observed.texels.resolution, glow)
+
+
+def _material(shown: ShownObject) -> Any:
+    """Return the object's BSDF."""
+    image = shown.values.numpy().reshape(*shown.size[::-1], -1)
     parts = np.split(image[..., 3:].clip(0, 1), [1, 4], axis=-1)
     named = zip(("roughness", "base_color", *MIXED), map(_texture, parts), strict=True)
-    return shown, mi.load_dict({"type": "principled", **dict(named)})
+    return mi.load_dict({"type": "principled", **dict(named)})
 
 
 def _texture(image: np.ndarray) -> dict[str, Any]:

@@ -37,9 +37,7 @@ DIGITS = 10  # decimals: objects of 1 mm in scenes in metres keep single precisi
 VERSION = "1.38"  # later versions read it, too
 INDEX_OF_REFRACTION = 1.5  # F0 = 0.04, as specular = 0.5 of Mitsuba's principled
 # Inputs of standard_surface, by parameter.
-INPUTS = {
-    "base_color": "base_color", "roughness": "specular_roughness", "metallic": "metalness",
-}  # fmt: skip
+INPUTS = {"base_color": "base_color", "roughness": "specular_roughness", "metallic": "metalness"}
 
 
 def write_mitsuba(asset: Asset, folder: Path, *, up: Up) -> list[AssetFile]:

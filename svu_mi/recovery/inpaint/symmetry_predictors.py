@@ -16,9 +16,7 @@ import scipy
 
 from svu_mi.recovery.inpaint.texel_hierarchy import PIECE_DISTANCE, Pieces
 
-Kind = Literal[
-    "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"
-]  # fmt: skip
+Kind = Literal["all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"]
 Axis = tuple[float, float, float]
 Prediction = tuple[np.ndarray, np.ndarray]
 """Values (N, w) of w texels, and a mask (w,) of texels with a match."""
